@@ -1,0 +1,68 @@
+"""Train a network on a data set's shards, tracked in MLflow.
+
+    python launch/train.py +experiment=quickstart
+"""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+
+import lightning as L
+import torch
+from hydra.utils import instantiate
+from omegaconf import DictConfig, OmegaConf
+from rich.console import Console
+
+from rfpp.entry import entry_point
+from rfpp.inference.checkpoint import CheckpointInfo
+from rfpp.metrics.image import ImageMetrics
+from rfpp.training.module import RenderingModule
+from rfpp.training.run import point_latest_at, start_summary, write_config
+from rfpp.training.tracking import code_version, describe_run
+
+
+@entry_point("train")
+def main(cfg: DictConfig) -> Path | None:
+    """Train `cfg.model` on `cfg.data`; returns the best checkpoint's path (None after a fast_dev_run)."""
+    console = Console(highlight=False)
+    warnings.filterwarnings("ignore", message=".*does not have many workers.*|.*isn't picklable.*")
+    L.seed_everything(cfg.seed, verbose=False)
+    torch.set_float32_matmul_precision("high")
+
+    config = OmegaConf.to_container(cfg, resolve=True)
+    run_dir = Path(cfg.run_dir)
+    datamodule = instantiate(cfg.datamodule, _convert_="all")
+    network = instantiate(cfg.model, _convert_="all")
+    loss = instantiate(cfg.loss)
+    logger = False if cfg.trainer.fast_dev_run else instantiate(cfg.logger)
+    info = CheckpointInfo(
+        model=config["model"],
+        resolution=(cfg.data.resolution, cfg.data.resolution),
+        data_manifest=datamodule.manifest.hash,
+        commit=code_version(),
+        mlflow_run_id=logger.run_id if logger else None,
+        mlflow_tracking_uri=logger.experiment.tracking_uri if logger else None,
+    )
+    module = RenderingModule(
+        network, loss, ImageMetrics(lpips=None), instantiate(cfg.optimizer), instantiate(cfg.schedule), info
+    )
+    trainer = instantiate(cfg.trainer, logger=logger, callbacks=list(instantiate(cfg.callbacks).values()))
+
+    if trainer.is_global_zero:
+        console.print(start_summary(cfg, network, datamodule))
+    if logger and trainer.is_global_zero:
+        config_file = write_config(cfg, run_dir)
+        point_latest_at(run_dir)
+        tags = {"code_version": info.commit or "unknown", "data_manifest": info.data_manifest, "run_dir": str(run_dir)}
+        describe_run(logger, config, config_file, tags)
+    trainer.fit(module, datamodule, ckpt_path=cfg.checkpoint, weights_only=True)
+    if not logger:
+        return None
+    best = Path(trainer.checkpoint_callback.best_model_path)
+    console.print(f"Best checkpoint: {best}\nMLflow run: {logger.run_id} in {info.mlflow_tracking_uri}")
+    return best
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,165 @@
+"""RaggedBatch: the triangles of many scenes packed end to end, without padding and without truncation."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from rfpp.scene.triangles import SceneTriangles
+
+
+@dataclass(frozen=True)
+class Segments:
+    """A partition of a packed axis into consecutive runs (CSR offsets).
+
+    The lengths are kept on the host too, so that planning an attention never waits for the device.
+
+    Attributes:
+        offsets: [n + 1] int32, first 0.
+        lengths: n run lengths.
+    """
+
+    offsets: Int[Tensor, " n_plus_1"]
+    lengths: tuple[int, ...]
+
+    @classmethod
+    def from_lengths(cls, lengths: Sequence[int], device: torch.device | str = "cpu") -> Segments:
+        offsets = np.concatenate([[0], np.cumsum(lengths, dtype=np.int64)]).astype(np.int32)
+        return cls(torch.from_numpy(offsets).to(device), tuple(int(n) for n in lengths))
+
+    def __len__(self) -> int:
+        return len(self.lengths)
+
+    @property
+    def total(self) -> int:
+        return sum(self.lengths)
+
+    @cached_property
+    def index(self) -> Int[Tensor, " total"]:
+        """[total] int64: the segment each row belongs to."""
+        lengths = (self.offsets[1:] - self.offsets[:-1]).long()
+        return torch.repeat_interleave(
+            torch.arange(len(self), device=self.offsets.device), lengths, output_size=self.total
+        )
+
+    def to(self, device: torch.device | str, **kwargs) -> Segments:
+        return Segments(self.offsets.to(device, **kwargs), self.lengths)
+
+    def pin_memory(self) -> Segments:
+        return Segments(self.offsets.pin_memory(), self.lengths)
+
+
+@dataclass(frozen=True)
+class SceneViews:
+    """One scene seen by V cameras, before packing.
+
+    Attributes:
+        key: names the sample in messages and records.
+        triangles: the whole scene.
+        c2w: [V, 4, 4] camera-to-world.
+        fov: [V] degrees, along the longer image side.
+        gbuffer: [V, C, H, W] first-hit channels in camera space.
+        image: [V, 3, H, W] linear radiance, where a reference exists.
+    """
+
+    key: str
+    triangles: SceneTriangles
+    c2w: np.ndarray
+    fov: np.ndarray
+    gbuffer: np.ndarray
+    image: np.ndarray | None = None
+
+
+@dataclass(frozen=True)
+class RaggedBatch:
+    """B scenes with V views each; triangles sorted by object, objects by scene.
+
+    Attributes:
+        positions, normals: [M, 3, 3] world-space corners and shading normals.
+        material: [M, 10] diffuse 3, specular 3, roughness 1, emitted radiance 3 (linear).
+        objects: O segments of the M triangles.
+        scenes: B segments of the O objects.
+        c2w, fov: [B, V, 4, 4], [B, V].
+        gbuffer: [B, V, C, H, W].
+        image: [B, V, 3, H, W] linear radiance, or None when rendering.
+        keys: B sample names.
+    """
+
+    positions: Float[Tensor, "m 3 3"]
+    normals: Float[Tensor, "m 3 3"]
+    material: Float[Tensor, "m 10"]
+    objects: Segments
+    scenes: Segments
+    c2w: Float[Tensor, "b v 4 4"]
+    fov: Float[Tensor, "b v"]
+    gbuffer: Float[Tensor, "b v c h w"]
+    image: Float[Tensor, "b v 3 h w"] | None
+    keys: tuple[str, ...]
+
+    @classmethod
+    def pack(cls, samples: Sequence[SceneViews]) -> RaggedBatch:
+        """Pack scenes of any sizes; all must have the same number of views and the same resolution."""
+        triangles = [s.triangles for s in samples]
+
+        def packed(arrays: list[np.ndarray]) -> Tensor:
+            return torch.from_numpy(np.concatenate(arrays).astype(np.float32, copy=False))
+
+        def stacked(arrays: list[np.ndarray]) -> Tensor:
+            return torch.from_numpy(np.stack(arrays).astype(np.float32, copy=False))
+
+        with_images = all(s.image is not None for s in samples)
+        return cls(
+            positions=packed([t.positions for t in triangles]),
+            normals=packed([t.normals for t in triangles]),
+            material=packed([t.material for t in triangles]),
+            objects=Segments.from_lengths([b - a for t in triangles for a, b in pairwise(t.object_offsets.tolist())]),
+            scenes=Segments.from_lengths([t.num_objects for t in triangles]),
+            c2w=stacked([s.c2w for s in samples]),
+            fov=stacked([s.fov for s in samples]),
+            gbuffer=stacked([s.gbuffer for s in samples]),
+            image=stacked([s.image for s in samples]) if with_images else None,
+            keys=tuple(s.key for s in samples),
+        )
+
+    @property
+    def num_views(self) -> int:
+        """V, the views of each scene."""
+        return self.c2w.shape[1]
+
+    @property
+    def resolution(self) -> tuple[int, int]:
+        """(H, W) in pixels."""
+        return self.gbuffer.shape[-2], self.gbuffer.shape[-1]
+
+    @cached_property
+    def log_emission(self) -> Float[Tensor, "m 3"]:
+        """[M, 3] log10(1 + emitted radiance) per triangle; exactly zero where nothing is emitted."""
+        return torch.log10(1 + self.material[:, 7:10])
+
+    @cached_property
+    def areas(self) -> Float[Tensor, " m"]:
+        """[M] triangle areas in square world units."""
+        a, b, c = self.positions.unbind(1)
+        return 0.5 * torch.linalg.vector_norm(torch.linalg.cross(b - a, c - a), dim=-1)
+
+    def to(self, device: torch.device | str, **kwargs) -> RaggedBatch:
+        moved = {}
+        for field in fields(self):
+            value = getattr(self, field.name)
+            moved[field.name] = value.to(device, **kwargs) if isinstance(value, Tensor | Segments) else value
+        return RaggedBatch(**moved)
+
+    def pin_memory(self) -> RaggedBatch:
+        pinned = {
+            field.name: value.pin_memory()
+            for field in fields(self)
+            if isinstance(value := getattr(self, field.name), Tensor | Segments)
+        }
+        return replace(self, **pinned)

@@ -1,0 +1,25 @@
+"""The errors a user can cause and mend.
+
+Every entry point prints such an error as one line and exits with status 1; anything else is a bug and keeps
+its traceback.
+"""
+
+
+class UserError(Exception):
+    """Bad input or a missing prerequisite. The message names the file (or setting) and says what to do."""
+
+
+class SceneError(UserError):
+    """A scene file, mesh, material or camera that cannot be rendered as it stands."""
+
+
+class ShardError(UserError):
+    """A data set that is incomplete, damaged or made by another schema version."""
+
+
+class CheckpointError(UserError):
+    """A checkpoint that is unreadable or belongs to another model."""
+
+
+class MissingDependencyError(UserError):
+    """An optional library, program or weight file is needed and not there."""

@@ -1,0 +1,1 @@
+"""A trained network on stored scenes: records, tables, panels."""

@@ -1,0 +1,113 @@
+"""A network and the trivial baselines on every view of stored scenes: one record per image and predictor."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from rfpp.batch import RaggedBatch
+from rfpp.errors import ShardError, UserError
+from rfpp.evaluation.tables import ImageRecord, scene_means
+from rfpp.gbuffer.first_hit import CHANNELS
+from rfpp.metrics.baselines import Baseline
+from rfpp.metrics.image import ImageMetrics
+from rfpp.radiance import log_decode
+from rfpp.shards.stream import ShardSplit
+from rfpp.training.views import select_views
+
+#: The name of the network in records.
+MODEL = "model"
+
+
+@dataclass(frozen=True, eq=False)
+class RenderedScene:
+    """All V views of one scene: linear radiance and first-hit albedo.
+
+    Attributes:
+        key: of the stored scene.
+        reference, prediction, albedo: [V, 3, H, W].
+    """
+
+    key: str
+    reference: Float[Tensor, "v 3 h w"]
+    prediction: Float[Tensor, "v 3 h w"]
+    albedo: Float[Tensor, "v 3 h w"]
+
+
+@torch.no_grad()
+def render_stored(network: nn.Module, split: ShardSplit, index: int, device: torch.device) -> RenderedScene:
+    """Render every view of a stored scene with the network, which must be on `device`.
+
+    Raises:
+        UserError: the stored resolution is not divisible by the network's patch size.
+    """
+    sample = split[index]
+    wanted = tuple(network.gbuffer_channels)
+    views = select_views(sample, range(len(sample.fov)), (*wanted, "albedo"))
+    batch = RaggedBatch.pack([views]).to(device)
+    if any(side % network.patch_size for side in batch.resolution):
+        raise UserError(
+            f"{split.manifest.root}: images of {batch.resolution[0]}x{batch.resolution[1]} pixels are not divisible by "
+            f"the checkpoint's patch size {network.patch_size}: evaluate on data of another resolution"
+        )
+    width = sum(CHANNELS[name] for name in wanted)
+    rendering = network(replace(batch, gbuffer=batch.gbuffer[:, :, :width]))
+    return RenderedScene(
+        key=sample.key,
+        reference=batch.image[0],
+        prediction=log_decode(rendering.log_radiance[0].float()),
+        albedo=batch.gbuffer[0, :, width:],
+    )
+
+
+def evaluate_split(
+    network: nn.Module,
+    split: ShardSplit,
+    baselines: Sequence[Baseline],
+    metrics: ImageMetrics,
+    device: torch.device,
+    on_scene: Callable[[], None] = lambda: None,
+) -> list[ImageRecord]:
+    """Records of every image of the split, for the network and for each baseline.
+
+    Args:
+        on_scene: called after each scene, for a progress bar.
+
+    Raises:
+        ShardError: the split is empty, or a sample is damaged.
+        UserError: see `render_stored`.
+    """
+    if len(split) == 0:
+        raise ShardError(f"{split.manifest.root}: split '{split.split}' is empty: choose another in evaluation.splits")
+    records = []
+    for index in range(len(split)):
+        scene = render_stored(network, split, index, device)
+        predictions = {MODEL: scene.prediction} | {b.name: b.predict(scene.albedo) for b in baselines}
+        for predictor, prediction in predictions.items():
+            values = {name: column.tolist() for name, column in metrics(prediction, scene.reference).items()}
+            for view in range(len(prediction)):
+                at_view = {name: column[view] for name, column in values.items()}
+                records.append(ImageRecord(split.split, scene.key, view, predictor, at_view))
+        on_scene()
+    return records
+
+
+def training_views(split: ShardSplit, scenes: int) -> Iterator[tuple[Tensor, Tensor]]:
+    """(albedo, radiance), both [V, 3, H, W], of evenly spaced scenes, at most `scenes` of them: to fit baselines."""
+    count = min(scenes, len(split))
+    for index in np.linspace(0, len(split) - 1, count).round().astype(int):
+        sample = split[int(index)]
+        views = select_views(sample, range(len(sample.fov)), ("albedo",))
+        yield torch.from_numpy(views.gbuffer), torch.from_numpy(views.image)
+
+
+def ranked_scenes(records: Sequence[ImageRecord], metric: str = "log_l1") -> dict[str, tuple[str, float]]:
+    """The model's best, median and worst scene of one split: {"best": (key, mean value), …}."""
+    means = scene_means(record for record in records if record.predictor == MODEL)
+    ranked = sorted(((key, values[metric]) for (_, _, key), values in means.items()), key=lambda pair: pair[1])
+    return {"best": ranked[0], "median": ranked[len(ranked) // 2], "worst": ranked[-1]}

@@ -1,0 +1,139 @@
+"""Scene + camera → what each pixel's centre sees first. The same code makes training data and feeds the renderer."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import SupportsFloat
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from rfpp.errors import UserError
+from rfpp.gbuffer.raycast import RayCaster
+from rfpp.scene.camera import pixel_plane, pixel_rays
+from rfpp.scene.triangles import DIFFUSE, ROUGHNESS, SPECULAR, SceneTriangles
+
+#: The geometry-buffer channels a network may ask for, and how many numbers each has.
+CHANNELS: dict[str, int] = {"albedo": 3, "normal": 3, "roughness": 1, "specular": 3, "depth": 1, "position": 3}
+
+_MATERIAL_COLUMNS = {"albedo": DIFFUSE, "specular": SPECULAR, "roughness": ROUGHNESS}
+
+
+@dataclass(frozen=True, eq=False)
+class GBuffer:
+    """What one camera sees first through each pixel's centre. Lights are invisible to the camera.
+
+    Attributes:
+        triangle: [H, W] int32 index into the scene's triangles, -1 where nothing is hit.
+        normal: [H, W, 3] float32 unit shading normal in camera space, on the camera's side of the surface;
+            zeros where nothing is hit.
+        depth: [H, W] float32 distance along the camera's -Z axis (not along the ray); 0 where nothing is hit.
+    """
+
+    triangle: Int[np.ndarray, "h w"]
+    normal: Float[np.ndarray, "h w 3"]
+    depth: Float[np.ndarray, "h w"]
+
+    @property
+    def hit(self) -> np.ndarray:
+        """[H, W] bool: a surface is seen."""
+        return self.triangle >= 0
+
+
+def camera_caster(triangles: SceneTriangles) -> RayCaster:
+    """A caster over what cameras can see, for `first_hit` with several cameras of one scene."""
+    return RayCaster(triangles.positions[~triangles.is_emissive])
+
+
+def first_hit(
+    triangles: SceneTriangles,
+    c2w: Float[np.ndarray, "4 4"],
+    fov: SupportsFloat,
+    height: int,
+    width: int,
+    caster: RayCaster | None = None,
+) -> GBuffer:
+    """The G-buffer of one camera.
+
+    Args:
+        triangles: in world space.
+        c2w: camera to world, Blender axes.
+        fov: full angle in degrees along the longer image side.
+        caster: `camera_caster(triangles)`, if there is one already.
+    """
+    caster = caster or camera_caster(triangles)
+    visible = np.flatnonzero(~triangles.is_emissive).astype(np.int32)
+    if len(caster) != len(visible):
+        raise ValueError("the caster belongs to other triangles: make it with camera_caster(triangles)")
+    origins, directions = (np.reshape(a, (-1, 3)) for a in pixel_rays(c2w, float(fov), height, width))
+    hits = caster.cast(origins, directions)
+    seen = hits.triangle >= 0
+    triangle = np.full(len(seen), -1, np.int32)
+    triangle[seen] = visible[hits.triangle[seen]]
+
+    normal = np.zeros((len(seen), 3), np.float32)
+    normal[seen] = _facing_normals(triangles, triangle[seen], hits.barycentric[seen], directions[seen])
+    forward = -c2w[:3, 2]
+    depth = np.where(seen, hits.distance, 0) * (directions @ forward)
+    return GBuffer(
+        triangle=triangle.reshape(height, width),
+        normal=(normal @ c2w[:3, :3]).astype(np.float32).reshape(height, width, 3),  # inverse rotation: row vectors
+        depth=depth.astype(np.float32).reshape(height, width),
+    )
+
+
+def stack_channels(
+    gbuffer: GBuffer, material: Float[np.ndarray, "m 10"], fov: SupportsFloat, names: Sequence[str]
+) -> Float[np.ndarray, "c h w"]:
+    """The named channels (see `CHANNELS`), stacked in the order asked for; zeros where nothing is hit.
+
+    Args:
+        material: [M, 10] of the same triangles (`SceneTriangles.material`).
+        fov: degrees, as in `first_hit`; `position` is the camera-space point that pixel and depth determine.
+
+    Raises:
+        UserError: a name that is no channel.
+    """
+    height, width = gbuffer.depth.shape
+    channels = [channel(gbuffer, material, fov, name) for name in names]
+    stacked = np.concatenate([np.zeros((height, width, 0), np.float32), *channels], axis=-1)
+    return np.ascontiguousarray(stacked.transpose(2, 0, 1))
+
+
+def channel(
+    gbuffer: GBuffer, material: Float[np.ndarray, "m 10"], fov: SupportsFloat, name: str
+) -> Float[np.ndarray, "h w c"]:
+    """One channel of `stack_channels`, channels last."""
+    if name in _MATERIAL_COLUMNS:
+        return material[gbuffer.triangle][..., _MATERIAL_COLUMNS[name]] * gbuffer.hit[..., None]
+    if name == "normal":
+        return gbuffer.normal
+    if name == "depth":
+        return gbuffer.depth[..., None]
+    if name == "position":
+        return camera_positions(gbuffer.depth, fov)
+    raise UserError(f"G-buffer channel '{name}' does not exist: choose from {', '.join(CHANNELS)}")
+
+
+def camera_positions(depth: Float[np.ndarray, "h w"], fov: SupportsFloat) -> Float[np.ndarray, "h w 3"]:
+    """Camera-space points from planar depth; the origin where depth is 0."""
+    slope = pixel_plane(*depth.shape) * np.tan(np.radians(float(fov)) / 2)
+    return (np.concatenate([slope, np.full((*depth.shape, 1), -1.0)], axis=-1) * depth[..., None]).astype(np.float32)
+
+
+def object_ids(gbuffer: GBuffer, triangles: SceneTriangles) -> Int[np.ndarray, "h w"]:
+    """[H, W] int32 index of the object seen, -1 where nothing is hit."""
+    return np.where(gbuffer.hit, triangles.object_index[gbuffer.triangle], -1).astype(np.int32)
+
+
+def _facing_normals(
+    triangles: SceneTriangles, hit: np.ndarray, barycentric: np.ndarray, directions: np.ndarray
+) -> np.ndarray:
+    """[R, 3] unit world shading normals, flipped where the ray meets the back of the triangle."""
+    normals = np.einsum("rc,rcx->rx", barycentric, triangles.normals[hit])
+    normals /= np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-12)
+    corners = triangles.positions[hit]
+    geometric = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    behind = np.einsum("rx,rx->r", geometric, directions) > 0
+    return np.where(behind[:, None], -normals, normals)

@@ -1,0 +1,112 @@
+"""Reading a network back from a checkpoint, without running any code that the file might name."""
+
+from __future__ import annotations
+
+import importlib
+import pickle
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import nn
+
+from rfpp.errors import CheckpointError
+
+#: Where a Lightning checkpoint keeps a `CheckpointInfo`.
+CHECKPOINT_KEY = "rfpp"
+SCHEMA_VERSION = 1
+#: A checkpoint may only name parts from here; anything else in a config is refused, not imported.
+ALLOWED_PREFIX = "rfpp.model."
+#: The network's place in a Lightning state dict.
+NETWORK_PREFIX = "network."
+
+
+@dataclass(frozen=True)
+class CheckpointInfo:
+    """What a checkpoint says about itself.
+
+    Attributes:
+        model: nested `_target_` config of the network, all values plain.
+        resolution: (height, width) the network was trained at.
+        data_manifest: hash of the data set's manifest.
+        commit: code version, or None outside a repository.
+        mlflow_run_id, mlflow_tracking_uri: the run it belongs to, or None.
+        schema_version: of this record.
+    """
+
+    model: dict[str, Any]
+    resolution: tuple[int, int]
+    data_manifest: str
+    commit: str | None = None
+    mlflow_run_id: str | None = None
+    mlflow_tracking_uri: str | None = None
+    schema_version: int = SCHEMA_VERSION
+
+    def to_dict(self) -> dict[str, Any]:
+        return asdict(self)
+
+
+def load_network(path: Path | str) -> tuple[nn.Module, CheckpointInfo]:
+    """The network in evaluation mode on the CPU, and what its checkpoint says about itself.
+
+    Raises:
+        CheckpointError: the file is missing, unreadable, not ours, or its weights are not of the network it names.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise CheckpointError(f"{path}: no such checkpoint: train one with launch/train.py, or correct the path")
+    try:
+        content = torch.load(path, map_location="cpu", weights_only=True)
+    except (pickle.UnpicklingError, RuntimeError, EOFError, OSError, ValueError, KeyError) as error:
+        reason = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
+        raise CheckpointError(f"{path}: cannot be read as a checkpoint ({reason[:160]}): copy it again") from None
+    if not isinstance(content, dict) or CHECKPOINT_KEY not in content:
+        raise CheckpointError(f"{path}: not a checkpoint of this project: give one written by launch/train.py")
+    try:
+        info = CheckpointInfo(**content[CHECKPOINT_KEY])
+    except TypeError as error:
+        raise CheckpointError(f"{path}: its description does not fit ({error}): use the version that made it") from None
+    if info.schema_version != SCHEMA_VERSION:
+        raise CheckpointError(
+            f"{path}: checkpoint schema {info.schema_version}, this code reads {SCHEMA_VERSION}: "
+            "use the version of rfpp that made it"
+        )
+    network = build(info.model, str(path))
+    _load_weights(network, content.get("state_dict", {}), path)
+    return network.eval(), info
+
+
+def build(config: Any, where: str) -> Any:
+    """Instantiate a nested `_target_` config whose targets all lie in rfpp.model. Raises CheckpointError."""
+    if isinstance(config, list | tuple):
+        return [build(item, where) for item in config]
+    if not isinstance(config, dict):
+        return config
+    arguments = {key: build(value, where) for key, value in config.items() if key != "_target_"}
+    if "_target_" not in config:
+        return arguments
+    target = config["_target_"]
+    if not isinstance(target, str) or not target.startswith(ALLOWED_PREFIX):
+        raise CheckpointError(f"{where}: names {target!r}, which is not a part of {ALLOWED_PREFIX[:-1]}: refused")
+    module_name, _, class_name = target.rpartition(".")
+    try:
+        part = getattr(importlib.import_module(module_name), class_name)
+        if not (isinstance(part, type) and part.__module__ == module_name):
+            raise AttributeError(f"{target} is not a class defined there")
+        return part(**arguments)
+    except (ImportError, AttributeError, TypeError, ValueError) as error:
+        raise CheckpointError(f"{where}: cannot build {target} ({error}): use the version that made it") from None
+
+
+def _load_weights(network: nn.Module, state: dict[str, torch.Tensor], path: Path) -> None:
+    weights = {k.removeprefix(NETWORK_PREFIX): v for k, v in state.items() if k.startswith(NETWORK_PREFIX)}
+    expected = network.state_dict()
+    missing, extra = sorted(expected.keys() - weights.keys()), sorted(weights.keys() - expected.keys())
+    wrong = [k for k in expected.keys() & weights.keys() if expected[k].shape != weights[k].shape]
+    for problem, names in (("lacks", missing), ("has the unknown tensor", extra), ("has another shape for", wrong)):
+        if names:
+            raise CheckpointError(
+                f"{path}: {problem} {sorted(names)[0]} (and {len(names) - 1} more): it belongs to another model"
+            )
+    network.load_state_dict(weights)

@@ -1,0 +1,43 @@
+"""The perceptual loss: LPIPS between tone-mapped images, with gradient to the prediction."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from rfpp.metrics.lpips import LPIPS
+from rfpp.radiance import log_decode, perceptual
+
+
+class PerceptualLoss:
+    """mean LPIPS of clamp(log2(1 + I), 0, 1) scaled to [-1, 1] (paper, training objective).
+
+    Not an `nn.Module`, so that the trunk is neither trained nor saved with the model; see `LPIPS`.
+
+    Args:
+        images_per_step: read at most this many images of a batch, the first ones, at full resolution; None reads all.
+        trunk_path: VGG16 weights to use instead of the cached or fetched ones.
+
+    Raises:
+        MissingDependencyError: no trunk weights can be had.
+    """
+
+    def __init__(self, images_per_step: int | None = None, trunk_path: Path | str | None = None) -> None:
+        if images_per_step is not None and images_per_step < 1:
+            raise ValueError(f"images_per_step must be at least 1, got {images_per_step}; to leave LPIPS out, weight 0")
+        self.images_per_step = images_per_step
+        self._lpips = LPIPS.pretrained(trunk_path)
+
+    def __call__(
+        self, predicted_log: Float[Tensor, "*images 3 h w"], target_radiance: Float[Tensor, "*images 3 h w"]
+    ) -> Float[Tensor, ""]:
+        """Unweighted loss of the network's log10(1 + radiance) against linear radiance, in float32."""
+        prediction = predicted_log.flatten(0, -4)[: self.images_per_step]  # [n, 3, h, w]
+        target = target_radiance.flatten(0, -4)[: self.images_per_step]
+        with torch.autocast(prediction.device.type, enabled=False):
+            return self._lpips(
+                2 * perceptual(log_decode(prediction.float())) - 1, 2 * perceptual(target.float()) - 1
+            ).mean()

@@ -1,0 +1,59 @@
+"""The training objective: L1 in log radiance, LPIPS, transport consistency, each with its weight (paper, Sec. 3.4)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from rfpp.losses.perceptual import PerceptualLoss
+from rfpp.losses.radiance import log_l1
+from rfpp.losses.transport_consistency import TransportConsistency
+
+
+class RenderingLoss(nn.Module):
+    """λ₁ · L1 + λ_lpips · LPIPS + λ_cons · Σ_k consistency_k.
+
+    Args:
+        l1_weight, lpips_weight, consistency_weight: the paper's 1, 0.05 and 0.1; a weight of 0 leaves LPIPS out.
+        lpips_images_per_step, lpips_trunk_path: see PerceptualLoss.
+        consistency_stop_gradient: see TransportConsistency.
+    """
+
+    def __init__(
+        self,
+        l1_weight: float,
+        lpips_weight: float,
+        consistency_weight: float,
+        lpips_images_per_step: int | None,
+        lpips_trunk_path: Path | str | None,
+        consistency_stop_gradient: bool,
+    ):
+        super().__init__()
+        self.l1_weight, self.lpips_weight, self.consistency_weight = l1_weight, lpips_weight, consistency_weight
+        self.perceptual = PerceptualLoss(lpips_images_per_step, lpips_trunk_path) if lpips_weight > 0 else None
+        self.consistency = TransportConsistency(consistency_stop_gradient)
+
+    def forward(
+        self,
+        log_radiance: Float[Tensor, "b v 3 h w"],
+        transport_states: tuple[Tensor, ...],
+        target: Float[Tensor, "b v 3 h w"],
+    ) -> dict[str, Tensor]:
+        """Every term, unweighted, under its own name; `loss` is their weighted sum.
+
+        Names: loss, l1, lpips (where weighted), consistency and consistency_1 … consistency_K (where there are
+        transport states). `target` is linear radiance.
+        """
+        terms = {"l1": log_l1(log_radiance, target)}
+        loss = self.l1_weight * terms["l1"]
+        if self.perceptual is not None:
+            terms["lpips"] = self.perceptual(log_radiance, target)
+            loss = loss + self.lpips_weight * terms["lpips"]
+        if transport_states:
+            residuals = self.consistency(transport_states)
+            terms["consistency"] = residuals.sum()
+            terms |= {f"consistency_{k}": r for k, r in enumerate(residuals, start=1)}
+            loss = loss + self.consistency_weight * terms["consistency"]
+        return {"loss": loss, **terms}

@@ -1,0 +1,31 @@
+"""The transport consistency loss (paper, Sec. 3.1): scattered light should not change when transported again."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+
+class TransportConsistency(nn.Module):
+    """Residuals ‖⁽ᵏ⁾F_s − T(⁽ᵏ⁾F_s + F_e)‖² for k = 1 … K, each a mean square over tokens and channels, in fp32.
+
+    The operator's output at k is the next state, so K + 1 consecutive states hold everything.
+
+    Args:
+        stop_gradient: hold the updated state fixed, so that only the current one is pulled.
+    """
+
+    def __init__(self, stop_gradient: bool = False):
+        super().__init__()
+        self.stop_gradient = stop_gradient
+
+    def forward(self, states: Sequence[Float[Tensor, "n width"]]) -> Float[Tensor, " k"]:
+        """[K] residuals; the loss is their sum. `states` are K + 1 scattered features, or none (then K = 0)."""
+        residuals = []
+        for current, updated in zip(states[:-1], states[1:], strict=True):
+            target = updated.detach() if self.stop_gradient else updated
+            residuals.append((current.float() - target.float()).square().mean())
+        return torch.stack(residuals) if residuals else torch.zeros(0)

@@ -1,0 +1,1 @@
+"""How images are judged: image metrics, LPIPS, and trivial baselines to judge them by."""

@@ -1,0 +1,109 @@
+"""Image metrics, one value per image, on linear HDR radiance.
+
+What each metric is, which way it improves, and which tone map and epsilon it uses is stated once, in METRICS.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+from torchmetrics.functional.image import structural_similarity_index_measure
+
+from rfpp.metrics.lpips import LPIPS
+from rfpp.radiance import log_encode, perceptual
+
+#: Keeps the relative error of nearly black pixels bounded.
+MAPE_EPS = 0.01
+
+#: How `perceptual` is written beneath a table.
+TONE_MAP = "clamp(log2(1 + I), 0, 1)"
+
+Images = Float[Tensor, "n 3 h w"]
+PerImage = Float[Tensor, " n"]
+
+
+@dataclass(frozen=True)
+class Metric:
+    """How a metric is shown and read.
+
+    Attributes:
+        label: column heading.
+        higher_is_better: direction.
+        definition: formula with its tone map and epsilon.
+        decimals: digits in a table.
+    """
+
+    label: str
+    higher_is_better: bool
+    definition: str
+    decimals: int
+
+
+METRICS = MappingProxyType(
+    {
+        "log_l1": Metric("log-L1", False, "mean |log10(1 + x) - log10(1 + y)|", 4),
+        "l1": Metric("L1", False, "mean |x - y|, linear HDR", 4),
+        "mape": Metric("MAPE", False, f"mean |x - y| / (|y| + {MAPE_EPS}), linear HDR", 3),
+        "lpips": Metric("LPIPS", False, f"VGG16 v0.1 on {TONE_MAP} scaled to [-1, 1]", 4),
+        "ssim": Metric("SSIM", True, f"11x11 Gaussian, sigma 1.5, range 1, mirrored border, on {TONE_MAP}", 4),
+        "psnr": Metric("PSNR", True, f"dB, peak 1, on {TONE_MAP}", 2),
+    }
+)
+
+
+def log_l1(prediction: Images, reference: Images) -> PerImage:
+    """mean |log10(1 + x) - log10(1 + y)|."""
+    return (log_encode(prediction) - log_encode(reference)).abs().flatten(1).mean(dim=1)
+
+
+def l1(prediction: Images, reference: Images) -> PerImage:
+    """mean |x - y| of linear radiance."""
+    return (prediction - reference).abs().flatten(1).mean(dim=1)
+
+
+def mape(prediction: Images, reference: Images) -> PerImage:
+    """mean |x - y| / (|y| + 0.01) of linear radiance, a fraction (not a percentage)."""
+    return ((prediction - reference).abs() / (reference.abs() + MAPE_EPS)).flatten(1).mean(dim=1)
+
+
+def psnr(prediction: Images, reference: Images) -> PerImage:
+    """Peak signal-to-noise ratio in dB of tone-mapped images; infinite for equal ones."""
+    error = (perceptual(prediction) - perceptual(reference)).square().flatten(1).mean(dim=1)
+    return -10 * torch.log10(error)
+
+
+def ssim(prediction: Images, reference: Images) -> PerImage:
+    """Structural similarity (Wang et al. 2004) of tone-mapped images.
+
+    The mean covers every pixel: windows at the border see the image mirrored. skimage leaves the border out, so its
+    numbers differ slightly.
+    """
+    similarity = structural_similarity_index_measure(
+        perceptual(prediction), perceptual(reference), data_range=1.0, reduction="none"
+    )
+    return similarity.reshape(len(prediction))
+
+
+class ImageMetrics:
+    """All metrics of METRICS for a batch of images.
+
+    Args:
+        lpips: the LPIPS to use, or None to leave the column out.
+    """
+
+    def __init__(self, lpips: LPIPS | None) -> None:
+        self._functions = {"log_l1": log_l1, "l1": l1, "mape": mape, "ssim": ssim, "psnr": psnr}
+        if lpips is not None:
+            self._functions["lpips"] = lambda x, y: lpips(2 * perceptual(x) - 1, 2 * perceptual(y) - 1)
+        self.names = tuple(name for name in METRICS if name in self._functions)
+
+    @torch.no_grad()
+    def __call__(self, prediction: Images, reference: Images) -> dict[str, PerImage]:
+        """Values by metric name, in float32 whatever the inputs or the surrounding autocast."""
+        with torch.autocast(prediction.device.type, enabled=False):
+            x, y = prediction.float(), reference.float()
+            return {name: self._functions[name](x, y) for name in self.names}

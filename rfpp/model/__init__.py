@@ -1,0 +1,1 @@
+"""RenderFormer++: plain arguments in, tensors out."""

@@ -1,0 +1,176 @@
+"""Attention over packed sequences of different lengths, behind one function.
+
+`attend(q, k, v, pattern)` lets the rows of query segment i see exactly the rows of key segment i. Three backends
+compute the same thing: variable-length kernels on CUDA in half precision, length-bucketed dense attention
+elsewhere, and a loop over segments that is slow, obvious, and the yardstick of the tests.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from jaxtyping import Float
+from torch import Tensor
+
+from rfpp.batch import Segments
+
+#: Key lengths within this ratio share a bucket: a wider one pads more, a narrower one launches more kernels.
+BUCKET_RATIO = 1.25
+
+
+class AttentionPattern:
+    """Which packed query rows see which packed key rows: query segment i sees key segment i.
+
+    Build it once per batch and share it between layers: the index tables below are computed on first use.
+    """
+
+    def __init__(self, queries: Segments, keys: Segments | None = None):
+        keys = queries if keys is None else keys
+        if len(queries) != len(keys):
+            raise ValueError(f"{len(queries)} query segments for {len(keys)} key segments")
+        self.queries, self.keys = queries, keys
+
+    @cached_property
+    def buckets(self) -> list[Bucket]:
+        """Segments grouped by key length (and query length), shortest first."""
+        key_lengths, query_lengths = np.array(self.keys.lengths), np.array(self.queries.lengths)
+        order = np.lexsort((query_lengths, key_lengths))
+        groups: list[list[int]] = []
+        for i in order:
+            first = groups[-1][0] if groups else None
+            if first is not None and key_lengths[i] <= BUCKET_RATIO * key_lengths[first]:
+                groups[-1].append(i)
+            else:
+                groups.append([i])
+        q_starts = np.concatenate([[0], np.cumsum(query_lengths)])
+        k_starts = np.concatenate([[0], np.cumsum(key_lengths)])
+        return [Bucket(np.array(g), q_starts, query_lengths, k_starts, key_lengths) for g in groups]
+
+    @cached_property
+    def query_layout(self) -> PaddedLayout:
+        return PaddedLayout([b.query_rows for b in self.buckets], self.queries)
+
+    @cached_property
+    def key_layout(self) -> PaddedLayout:
+        return PaddedLayout([b.key_rows for b in self.buckets], self.keys)
+
+    @cached_property
+    def key_masks(self) -> list[Tensor | None]:
+        """Per bucket [b, 1, 1, longest key] bool, True = real; None where nothing is padded."""
+        device = self.keys.offsets.device
+        rows = [b.key_rows >= 0 for b in self.buckets]
+        return [None if real.all() else torch.from_numpy(real).to(device)[:, None, None, :] for real in rows]
+
+
+class Bucket:
+    """Some segments padded to the longest of them: row tables with -1 for padding."""
+
+    def __init__(self, members, query_starts, query_lengths, key_starts, key_lengths):
+        self.query_rows = _padded_rows(query_starts[members], query_lengths[members])  # [b, Lq]
+        self.key_rows = _padded_rows(key_starts[members], key_lengths[members])  # [b, Lk]
+
+
+def _padded_rows(starts: np.ndarray, lengths: np.ndarray) -> np.ndarray:
+    position = np.arange(lengths.max())
+    return np.where(position < lengths[:, None], starts[:, None] + position, -1)
+
+
+class PaddedLayout:
+    """Moves packed rows [N, ...] into the buckets' padded rows and back; both ways are one gather.
+
+    Attributes:
+        shapes: (segments, longest) of each bucket.
+        padded_from_packed: [padded rows] the packed row of each padded row (row 0 for padding, which is masked).
+        packed_from_padded: [N] where each packed row went.
+        trivial: the padded rows are the packed rows in the same order, so nothing needs to move.
+    """
+
+    def __init__(self, rows: list[np.ndarray], segments: Segments):
+        self.shapes = [r.shape for r in rows]
+        flat = np.concatenate([r.ravel() for r in rows])
+        real = flat >= 0
+        inverse = np.empty(segments.total, dtype=np.int64)
+        inverse[flat[real]] = np.flatnonzero(real)
+        self.trivial = bool(len(flat) == segments.total and (flat == np.arange(len(flat))).all())
+        device = segments.offsets.device
+        self.padded_from_packed = torch.from_numpy(np.where(real, flat, 0)).to(device)
+        self.packed_from_padded = torch.from_numpy(inverse).to(device)
+
+    def pad(self, x: Tensor) -> list[Tensor]:
+        """[N, H, D] → per bucket [b, H, L, D]."""
+        if not self.trivial:
+            x = _Regather.apply(x, self.padded_from_packed, self.packed_from_padded)
+        pieces = x.split([b * length for b, length in self.shapes])
+        return [
+            p.view(b, length, *p.shape[1:]).transpose(1, 2) for p, (b, length) in zip(pieces, self.shapes, strict=True)
+        ]
+
+    def unpad(self, pieces: list[Tensor]) -> Tensor:
+        """Per bucket [b, H, L, D] → [N, H, D]."""
+        rows = [p.transpose(1, 2).flatten(0, 1) for p in pieces]
+        x = rows[0] if len(rows) == 1 else torch.cat(rows)
+        return x if self.trivial else _Regather.apply(x, self.packed_from_padded, self.padded_from_packed)
+
+
+class _Regather(torch.autograd.Function):
+    """x[index], whose gradient is grad[inverse]: a gather both ways, where autograd would scatter-add.
+
+    Valid because real rows are a bijection and the gradient of a padding row is zero (masked) or dropped.
+    """
+
+    @staticmethod
+    def forward(ctx, x: Tensor, index: Tensor, inverse: Tensor) -> Tensor:
+        ctx.save_for_backward(inverse)
+        ctx.padding_in_input = len(index) < len(inverse)
+        ctx.index = index
+        return x.index_select(0, index)
+
+    @staticmethod
+    def backward(ctx, grad: Tensor):
+        (inverse,) = ctx.saved_tensors
+        if not ctx.padding_in_input:
+            return grad.index_select(0, inverse), None, None
+        # unpad: padding rows were read by nobody, so their gradient is zero, not that of row 0
+        out = grad.new_zeros(len(inverse), *grad.shape[1:])
+        return out.index_copy_(0, ctx.index, grad.contiguous()), None, None
+
+
+def attend(
+    q: Float[Tensor, "nq h d"], k: Float[Tensor, "nk h d"], v: Float[Tensor, "nk h d"], pattern: AttentionPattern
+) -> Float[Tensor, "nq h d"]:
+    """softmax(q kᵀ / √d) v within each segment, by the fastest backend for the device and precision."""
+    if q.is_cuda and q.dtype in (torch.float16, torch.bfloat16):
+        return attend_varlen(q, k, v, pattern)
+    return attend_bucketed(q, k, v, pattern)
+
+
+def attend_bucketed(q: Tensor, k: Tensor, v: Tensor, pattern: AttentionPattern) -> Tensor:
+    """Dense attention per bucket of similar key lengths."""
+    qs, ks, vs = pattern.query_layout.pad(q), pattern.key_layout.pad(k), pattern.key_layout.pad(v)
+    out = [
+        F.scaled_dot_product_attention(*qkv, attn_mask=mask)
+        for qkv, mask in zip(zip(qs, ks, vs, strict=True), pattern.key_masks, strict=True)
+    ]
+    return pattern.query_layout.unpad(out)
+
+
+def attend_varlen(q: Tensor, k: Tensor, v: Tensor, pattern: AttentionPattern) -> Tensor:
+    """FlashAttention's variable-length kernel on the packed rows (CUDA, half precision)."""
+    from torch.nn.attention.varlen import varlen_attn
+
+    longest_query, longest_key = max(pattern.queries.lengths), max(pattern.keys.lengths)
+    return varlen_attn(q, k, v, pattern.queries.offsets, pattern.keys.offsets, longest_query, longest_key)
+
+
+def attend_loop(q: Tensor, k: Tensor, v: Tensor, pattern: AttentionPattern) -> Tensor:
+    """The definition, one segment at a time: what the fast backends are tested against."""
+    out = []
+    qo, ko = pattern.queries.offsets.tolist(), pattern.keys.offsets.tolist()
+    for i in range(len(pattern.queries)):
+        qi, ki, vi = q[qo[i] : qo[i + 1]], k[ko[i] : ko[i + 1]], v[ko[i] : ko[i + 1]]
+        weights = torch.einsum("qhd,khd->hqk", qi, ki) / qi.shape[-1] ** 0.5
+        out.append(torch.einsum("hqk,khd->qhd", weights.softmax(-1), vi))
+    return torch.cat(out)

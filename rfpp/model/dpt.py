@@ -1,0 +1,98 @@
+"""The image head: a dense prediction transformer (Ranftl et al. 2021) with SiLU, as RenderFormer uses it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch.nn.functional as F
+from jaxtyping import Float
+from torch import Tensor, nn
+
+LEVELS = 4
+#: Where training starts: about the mean of log10(1 + radiance). At zero, ELU's flat side would swallow the gradient.
+INITIAL_LOG_RADIANCE = 0.1
+
+
+class DPTHead(nn.Module):
+    """Four feature maps of the patch grid → log10(1 + radiance) at pixel resolution.
+
+    The maps are resampled to 4, 2, 1 and 1/2 times the patch grid: with 4×4 patches the finest is exactly the
+    image, with RenderFormer's 8×8 it is half of it; never above it.
+
+    Args:
+        width: channels of the incoming features.
+        level_channels: channels of the four resampled maps, finest first.
+        channels: channels of the fused maps.
+        patch_size: pixels along a patch's side, at least 4.
+    """
+
+    def __init__(self, width: int, level_channels: Sequence[int], channels: int, patch_size: int):
+        super().__init__()
+        if patch_size < 4:
+            raise ValueError(f"patches of {patch_size} pixels: the head's finest level would exceed the image")
+        fine, half, same, coarse = level_channels
+        self.project = nn.ModuleList(nn.Conv2d(width, c, 1) for c in level_channels)
+        self.resample = nn.ModuleList(
+            [
+                nn.ConvTranspose2d(fine, fine, 4, stride=4),
+                nn.ConvTranspose2d(half, half, 2, stride=2),
+                nn.Identity(),
+                nn.Conv2d(coarse, coarse, 3, stride=2, padding=1),
+            ]
+        )
+        self.to_common = nn.ModuleList(nn.Conv2d(c, channels, 3, padding=1, bias=False) for c in level_channels)
+        self.fuse = nn.ModuleList(FusionBlock(channels, has_skip=level < LEVELS - 1) for level in range(LEVELS))
+        self.smooth = nn.Conv2d(channels, channels // 2, 3, padding=1)
+        self.out = nn.Sequential(
+            nn.Conv2d(channels // 2, channels // 4, 3, padding=1), nn.SiLU(), nn.Conv2d(channels // 4, 3, 1)
+        )
+        nn.init.constant_(self.out[-1].bias, INITIAL_LOG_RADIANCE)
+
+    def forward(
+        self, features: Sequence[Float[Tensor, "n c h w"]], height: int, width: int
+    ) -> Float[Tensor, "n 3 height width"]:
+        levels = [
+            common(resample(project(f)))
+            for f, project, resample, common in zip(
+                features, self.project, self.resample, self.to_common, strict=True
+            )
+        ]
+        x = self.fuse[3](levels[3], None, levels[2].shape[-2:])
+        x = self.fuse[2](x, levels[2], levels[1].shape[-2:])
+        x = self.fuse[1](x, levels[1], levels[0].shape[-2:])
+        x = self.fuse[0](x, levels[0], (height, width))
+        x = self.out(_resize(self.smooth(x), (height, width)))
+        return F.elu(x.float(), alpha=1e-3)
+
+
+class FusionBlock(nn.Module):
+    """Adds a finer level to the coarser sum, refines it, and enlarges it to the next level's size."""
+
+    def __init__(self, channels: int, has_skip: bool):
+        super().__init__()
+        self.refine_skip = ResidualConvUnit(channels) if has_skip else None
+        self.refine = ResidualConvUnit(channels)
+        self.out = nn.Conv2d(channels, channels, 1)
+
+    def forward(self, x: Tensor, skip: Tensor | None, size: tuple[int, int]) -> Tensor:
+        if self.refine_skip is not None:
+            x = x + self.refine_skip(skip)
+        return self.out(_resize(self.refine(x), size))
+
+
+class ResidualConvUnit(nn.Module):
+    """x + conv(silu(conv(silu(x))))."""
+
+    def __init__(self, channels: int):
+        super().__init__()
+        self.conv1 = nn.Conv2d(channels, channels, 3, padding=1)
+        self.conv2 = nn.Conv2d(channels, channels, 3, padding=1)
+
+    def forward(self, x: Tensor) -> Tensor:
+        return x + self.conv2(F.silu(self.conv1(F.silu(x))))
+
+
+def _resize(x: Tensor, size: tuple[int, int]) -> Tensor:
+    if x.shape[-2:] == tuple(size):
+        return x
+    return F.interpolate(x, size=tuple(size), mode="bilinear", align_corners=True)

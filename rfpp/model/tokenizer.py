@@ -1,0 +1,108 @@
+"""From triangle tokens to the scene's tokens: one per triangle, or n_q per object (HOCT)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from rfpp.batch import RaggedBatch, Segments
+from rfpp.model.attention import AttentionPattern
+from rfpp.model.block import CrossBlock, RMSNorm, SelfBlock
+from rfpp.model.encoding import RelativeSpatialEncoding
+
+
+@dataclass(frozen=True)
+class SceneTokens:
+    """The tokens of B scenes, packed.
+
+    Attributes:
+        features: [N, D].
+        points: [N, 9] three world-space points that place each token.
+        log_emission: [N, 3] log10(1 + emitted radiance), area-weighted over what the token stands for.
+        segments: B segments of the N tokens.
+    """
+
+    features: Float[Tensor, "n width"]
+    points: Float[Tensor, "n 9"]
+    log_emission: Float[Tensor, "n 3"]
+    segments: Segments
+
+
+class TriangleTokens(nn.Module):
+    """One token per triangle, as in RenderFormer."""
+
+    def forward(self, triangles: Float[Tensor, "m width"], batch: RaggedBatch) -> SceneTokens:
+        ends = batch.objects.offsets[batch.scenes.offsets.long()].tolist()
+        segments = Segments.from_lengths(
+            [b - a for a, b in zip(ends[:-1], ends[1:], strict=True)], batch.positions.device
+        )
+        return SceneTokens(triangles, batch.positions.flatten(1), batch.log_emission, segments)
+
+
+class ObjectTokens(nn.Module):
+    """HOCT (paper, Sec. 3.2): self-attention within each object, then n_q shared queries summarise it.
+
+    Args:
+        width, heads, hidden: token width, attention heads, SwiGLU width.
+        encoder_layers: self-attention blocks over each object's triangles.
+        queries: n_q, tokens per object.
+        cross_layers: cross-attention blocks from queries to triangles, with a self-attention block between
+            each two of them.
+        frequencies: RSPE frequencies.
+    """
+
+    def __init__(
+        self, width: int, heads: int, hidden: int, encoder_layers: int, queries: int, cross_layers: int, frequencies: int
+    ):
+        super().__init__()
+        self.position = RelativeSpatialEncoding(width // heads, frequencies)
+        self.encoder = nn.ModuleList(SelfBlock(width, heads, hidden) for _ in range(encoder_layers))
+        self.queries = nn.Parameter(0.02 * torch.randn(queries, width))
+        self.gather = nn.ModuleList(CrossBlock(width, heads, hidden) for _ in range(cross_layers))
+        self.mix = nn.ModuleList(SelfBlock(width, heads, hidden) for _ in range(cross_layers - 1))
+        self.norm = RMSNorm(width)
+
+    def forward(self, triangles: Float[Tensor, "m width"], batch: RaggedBatch) -> SceneTokens:
+        per_object, n_q = batch.objects, len(self.queries)
+        query_segments = Segments.from_lengths([n_q] * len(per_object), batch.positions.device)
+
+        rotation = self.position(batch.positions.flatten(1))
+        within_object = AttentionPattern(per_object)
+        for block in self.encoder:
+            triangles = block(triangles, within_object, rotation)
+
+        points = object_anchors(batch).repeat_interleave(n_q, dim=0)
+        anchor_rotation = self.position(points)
+        to_triangles, among_queries = AttentionPattern(query_segments, per_object), AttentionPattern(query_segments)
+        tokens = self.queries.repeat(len(per_object), 1)
+        for i, gather in enumerate(self.gather):
+            tokens = gather(tokens, triangles, to_triangles, anchor_rotation, rotation)
+            if i < len(self.mix):
+                tokens = self.mix[i](tokens, among_queries, anchor_rotation)
+
+        return SceneTokens(
+            features=self.norm(tokens),
+            points=points,
+            log_emission=mean_by_object(batch.log_emission, batch).repeat_interleave(n_q, dim=0),
+            segments=Segments.from_lengths([n_q * n for n in batch.scenes.lengths], batch.positions.device),
+        )
+
+
+def object_anchors(batch: RaggedBatch) -> Float[Tensor, "o 9"]:
+    """Where an object stands: [bounding-box minimum, area-weighted centroid, bounding-box maximum]."""
+    corners = batch.positions
+    owner = batch.objects.index[:, None].expand(-1, 3)
+    empty = corners.new_zeros(len(batch.objects), 3)
+    low = empty.scatter_reduce(0, owner, corners.amin(1), "amin", include_self=False)
+    high = empty.scatter_reduce(0, owner, corners.amax(1), "amax", include_self=False)
+    return torch.cat([low, mean_by_object(corners.mean(1), batch), high], dim=-1)
+
+
+def mean_by_object(values: Float[Tensor, "m c"], batch: RaggedBatch) -> Float[Tensor, "o c"]:
+    """Area-weighted mean of per-triangle values over each object."""
+    weighted = torch.cat([values * batch.areas[:, None], batch.areas[:, None]], dim=-1)
+    sums = weighted.new_zeros(len(batch.objects), weighted.shape[1]).index_add(0, batch.objects.index, weighted)
+    return sums[:, :-1] / sums[:, -1:]

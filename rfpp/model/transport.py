@@ -1,0 +1,100 @@
+"""Light transport between scene tokens: unconstrained (RenderFormer) or shaped like the rendering equation (PITG)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from rfpp.model.attention import AttentionPattern
+from rfpp.model.block import SelfBlock
+from rfpp.model.encoding import RelativeSpatialEncoding, Rotation
+from rfpp.model.tokenizer import SceneTokens
+
+
+@dataclass(frozen=True)
+class Transported:
+    """What a transport stage hands on.
+
+    Attributes:
+        tokens: the scene tokens with global illumination in their features.
+        states: the scattered features ⁽ᵏ⁾F_s, k = 1 … K, and in training one more: T(⁽ᴷ⁾F_s + F_e). Each [N, D].
+            Empty where there is no operator.
+    """
+
+    tokens: SceneTokens
+    states: tuple[Float[Tensor, "n width"], ...] = ()
+
+
+class UnconstrainedTransport(nn.Module):
+    """Self-attention between all tokens of a scene, as in RenderFormer."""
+
+    def __init__(self, width: int, heads: int, hidden: int, layers: int, frequencies: int):
+        super().__init__()
+        self.position = RelativeSpatialEncoding(width // heads, frequencies)
+        self.blocks = nn.ModuleList(SelfBlock(width, heads, hidden) for _ in range(layers))
+
+    def forward(self, tokens: SceneTokens) -> Transported:
+        features, pattern, rotation = tokens.features, AttentionPattern(tokens.segments), self.position(tokens.points)
+        for block in self.blocks:
+            features = block(features, pattern, rotation)
+        return Transported(replace(tokens, features=features))
+
+
+class EmissionEncoder(nn.Module):
+    """EEncode (paper, Sec. 3.1): one MLP gives F_e from tokens and emission, F_s from tokens and zeros."""
+
+    def __init__(self, width: int):
+        super().__init__()
+        self.emission_proj = nn.Linear(3, width, bias=False)  # no bias: no emission, exactly zero
+        self.mlp = nn.Sequential(
+            nn.Linear(2 * width, width, bias=False), nn.SiLU(), nn.Linear(width, width, bias=False)
+        )
+
+    def forward(
+        self, features: Float[Tensor, "n width"], log_emission: Float[Tensor, "n 3"]
+    ) -> tuple[Float[Tensor, "n width"], Float[Tensor, "n width"]]:
+        """(F_e, F_s)."""
+        emission = self.emission_proj(log_emission)
+        emitted = self.mlp(torch.cat([features, emission.to(features.dtype)], dim=-1))
+        scattered = self.mlp(torch.cat([features, torch.zeros_like(features)], dim=-1))
+        return emitted, scattered
+
+
+class TransportOperator(nn.Module):
+    """T: moves light once between the tokens of each scene."""
+
+    def __init__(self, width: int, heads: int, hidden: int, layers: int):
+        super().__init__()
+        self.blocks = nn.ModuleList(SelfBlock(width, heads, hidden) for _ in range(layers))
+
+    def forward(
+        self, features: Float[Tensor, "n width"], pattern: AttentionPattern, rotation: Rotation
+    ) -> Float[Tensor, "n width"]:
+        for block in self.blocks:
+            features = block(features, pattern, rotation)
+        return features
+
+
+class PhysicsInformedTransport(nn.Module):
+    """PITG (paper, Sec. 3.1): ⁽ᵏ⁺¹⁾F_s = T(⁽ᵏ⁾F_s + F_e), K times with one shared operator, then F_s + F_e."""
+
+    def __init__(self, width: int, heads: int, hidden: int, layers: int, iterations: int, frequencies: int):
+        super().__init__()
+        self.iterations = iterations
+        self.position = RelativeSpatialEncoding(width // heads, frequencies)
+        self.emission_encoder = EmissionEncoder(width)
+        self.operator = TransportOperator(width, heads, hidden, layers)
+
+    def forward(self, tokens: SceneTokens) -> Transported:
+        pattern, rotation = AttentionPattern(tokens.segments), self.position(tokens.points)
+        emitted, scattered = self.emission_encoder(tokens.features, tokens.log_emission)
+        states = []
+        for _ in range(self.iterations):
+            scattered = self.operator(scattered + emitted, pattern, rotation)
+            states.append(scattered)
+        if self.training:  # one more application, for the consistency loss of the last state
+            states.append(self.operator(scattered + emitted, pattern, rotation))
+        return Transported(replace(tokens, features=scattered + emitted), tuple(states))

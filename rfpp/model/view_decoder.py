@@ -1,0 +1,141 @@
+"""The view-dependent stage: ray-bundle tokens of each view read the scene's tokens, in camera space."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor, nn
+
+from rfpp.batch import Segments
+from rfpp.model.attention import AttentionPattern
+from rfpp.model.block import CrossAttention, RMSNorm, SelfAttention, SwiGLU
+from rfpp.model.dpt import LEVELS, DPTHead
+from rfpp.model.encoding import RelativeSpatialEncoding, Rotation, rotate
+from rfpp.model.ray_bundle import CameraOrigin, RayBundleEmbedding
+from rfpp.model.tokenizer import SceneTokens
+
+
+class ViewDecoder(nn.Module):
+    """VDecoder (paper, Sec. 3.3): cross-attention to the scene, self-attention in the view, SwiGLU; DPT head.
+
+    Args:
+        width, heads, hidden: token width, attention heads, SwiGLU width.
+        layers: decoder blocks, at least 4: the last four feed the head.
+        frequencies: RSPE frequencies.
+        patch_size: pixels along a patch's side.
+        gbuffer_channels: see RayBundleEmbedding; empty for the decoder without geometry guidance.
+        head_level_channels, head_channels: see DPTHead.
+        ray_position: where ray tokens stand: CameraOrigin (the paper's) or FirstHitPosition.
+    """
+
+    def __init__(
+        self,
+        width: int,
+        heads: int,
+        hidden: int,
+        layers: int,
+        frequencies: int,
+        patch_size: int,
+        gbuffer_channels: Sequence[str],
+        head_level_channels: Sequence[int],
+        head_channels: int,
+        ray_position: Callable[[Tensor, RayBundleEmbedding], Tensor | None] | None = None,
+    ):
+        super().__init__()
+        if layers < LEVELS:
+            raise ValueError(f"the image head reads the last {LEVELS} decoder layers, but there are {layers}")
+        self.rays = RayBundleEmbedding(width, patch_size, gbuffer_channels)
+        self.ray_position = ray_position or CameraOrigin()
+        self.position = RelativeSpatialEncoding(width // heads, frequencies)
+        self.blocks = nn.ModuleList(DecoderBlock(width, heads, hidden) for _ in range(layers))
+        self.head = DPTHead(width, head_level_channels, head_channels, patch_size)
+
+    def forward(
+        self,
+        scene: SceneTokens,
+        c2w: Float[Tensor, "b v 4 4"],
+        fov: Float[Tensor, "b v"],
+        gbuffer: Float[Tensor, "b v c h w"],
+    ) -> Float[Tensor, "b v 3 h w"]:
+        """log10(1 + radiance) of every view of every scene."""
+        batch, views, _, height, width = gbuffer.shape
+        rays = self.rays(fov.flatten(), gbuffer.flatten(0, 1))  # [B V, patches, D]
+        patches = rays.shape[1]
+        in_view = Segments.from_lengths([patches] * (batch * views), rays.device)
+        seen = SeenTokens.by(scene, c2w)
+
+        ray_points = self.ray_position(gbuffer.flatten(0, 1), self.rays)
+        ray_rotation = None if ray_points is None else self.position(ray_points)
+        seen_rotation = self.position(seen.points)
+        to_scene, among_rays = AttentionPattern(in_view, seen.segments), AttentionPattern(in_view)
+
+        x, features = rays.flatten(0, 1), []
+        for block in self.blocks:
+            x = block(x, scene.features, seen.rows, to_scene, among_rays, ray_rotation, seen_rotation)
+            features.append(x)
+
+        grid = (height // self.rays.patch_size, width // self.rays.patch_size)
+        maps = [f.view(batch * views, *grid, -1).permute(0, 3, 1, 2) for f in features[-LEVELS:]]
+        return self.head(maps, height, width).view(batch, views, 3, height, width)
+
+
+class DecoderBlock(nn.Module):
+    """Rays read the scene, then each other, then think."""
+
+    def __init__(self, width: int, heads: int, hidden: int):
+        super().__init__()
+        self.query_norm, self.context_norm = RMSNorm(width), RMSNorm(width)
+        self.cross_attention = CrossAttention(width, heads)
+        self.self_attention_norm, self.self_attention = RMSNorm(width), SelfAttention(width, heads)
+        self.feed_forward_norm, self.feed_forward = RMSNorm(width), SwiGLU(width, hidden)
+
+    def forward(
+        self,
+        x: Float[Tensor, "n width"],
+        scene: Float[Tensor, "m width"],
+        rows: Int[Tensor, " seen"],
+        to_scene: AttentionPattern,
+        among_rays: AttentionPattern,
+        ray_rotation: Rotation | None,
+        seen_rotation: Rotation,
+    ) -> Float[Tensor, "n width"]:
+        # projected once per scene; a view only picks its scene's rows and rotates them into its camera
+        keys, values = self.cross_attention.project(self.context_norm(scene))
+        keys, values = rotate(keys.index_select(0, rows), seen_rotation), values.index_select(0, rows)
+        x = x + self.cross_attention(self.query_norm(x), keys, values, to_scene, ray_rotation)
+        x = x + self.self_attention(self.self_attention_norm(x), among_rays, ray_rotation)
+        return x + self.feed_forward(self.feed_forward_norm(x))
+
+
+@dataclass(frozen=True)
+class SeenTokens:
+    """The scene tokens as B·V cameras see them.
+
+    Attributes:
+        rows: which token of the batch each row is, scene by scene, view by view.
+        points: [rows, 9] their points in camera space.
+        segments: B·V segments of the rows.
+    """
+
+    rows: Int[Tensor, " rows"]
+    points: Float[Tensor, "rows 9"]
+    segments: Segments
+
+    @classmethod
+    def by(cls, scene: SceneTokens, c2w: Float[Tensor, "b v 4 4"]) -> SeenTokens:
+        views = c2w.shape[1]
+        starts = np.concatenate([[0], np.cumsum(scene.segments.lengths)])
+        rows = np.concatenate(
+            [np.tile(np.arange(n) + start, views) for start, n in zip(starts, scene.segments.lengths, strict=False)]
+        )
+        rows = torch.from_numpy(rows).to(c2w.device)
+        segments = Segments.from_lengths([n for n in scene.segments.lengths for _ in range(views)], c2w.device)
+        camera = c2w.flatten(0, 1)[segments.index]
+        offset = scene.points[rows].unflatten(-1, (3, 3)) - camera[:, None, :3, 3]
+        # Rᵀ (p − t), written out because autocast would round a matrix product of positions to bfloat16
+        points = (offset[..., :, None] * camera[:, None, :3, :3]).sum(-2)
+        return cls(rows, points.flatten(1), segments)

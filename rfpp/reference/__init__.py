@@ -1,0 +1,1 @@
+"""Ground truth: path-traced images from Blender Cycles."""

@@ -1,0 +1,116 @@
+"""Packed triangles to Blender meshes and materials. Blender's module comes as an argument: nothing here imports it.
+
+Materials are those of RenderFormer's data: a Lambertian lobe plus a multiple-scattering GGX lobe, added without a
+Fresnel term. Emissive triangles keep their reflectance, shine on both sides and are invisible to the camera.
+"""
+
+from __future__ import annotations
+
+from types import ModuleType
+
+import numpy as np
+
+from rfpp.errors import SceneError
+from rfpp.scene.triangles import DIFFUSE, EMISSION, ROUGHNESS, SPECULAR, SceneTriangles
+
+
+def add_geometry(bpy: ModuleType, triangles: SceneTriangles) -> None:
+    """Put every scene object into Blender's scene; where only some triangles emit, as one object for each kind.
+
+    Raises:
+        SceneError: a triangle without area or with coordinates that are not finite, naming its object.
+    """
+    _check_geometry(triangles)
+    emissive = triangles.is_emissive
+    for index, name in enumerate(triangles.object_names):
+        members = np.arange(triangles.object_offsets[index], triangles.object_offsets[index + 1])
+        for part in (members[~emissive[members]], members[emissive[members]]):
+            if len(part):
+                obj = bpy.data.objects.new(name, _mesh(bpy, name, triangles, part))
+                obj.pass_index = index + 1
+                obj.visible_camera = not emissive[part[0]]
+                bpy.context.collection.objects.link(obj)
+
+
+def _check_geometry(triangles: SceneTriangles) -> None:
+    """Refuse what makes Blender crash or render nonsense."""
+    edges = triangles.positions[:, 1:] - triangles.positions[:, :1]
+    area = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=-1)
+    sound = np.isfinite(triangles.positions).all((1, 2)) & np.isfinite(triangles.normals).all((1, 2)) & (area > 0)
+    if not sound.all():
+        name = triangles.object_names[triangles.object_index[np.argmin(sound)]]
+        raise SceneError(f"object '{name}': a triangle has no area or is not finite: repair the mesh")
+
+
+def _mesh(bpy: ModuleType, name: str, triangles: SceneTriangles, part: np.ndarray):
+    """A Blender mesh of unconnected triangles with the given normals and materials."""
+    count = len(part)
+    mesh = bpy.data.meshes.new(name)
+    mesh.vertices.add(3 * count)
+    mesh.vertices.foreach_set("co", _flat(triangles.positions[part]))
+    mesh.loops.add(3 * count)
+    mesh.loops.foreach_set("vertex_index", np.arange(3 * count, dtype=np.int32))
+    mesh.polygons.add(count)
+    mesh.polygons.foreach_set("loop_start", np.arange(0, 3 * count, 3, dtype=np.int32))
+
+    diffuse, others = triangles.material[part][:, DIFFUSE], np.delete(triangles.material[part], DIFFUSE, axis=1)
+    varying = bool((diffuse != diffuse[0]).any())
+    _, first, slot = np.unique(others, axis=0, return_index=True, return_inverse=True)
+    for row in triangles.material[part][first]:
+        mesh.materials.append(_material(bpy, row, "diffuse" if varying else None))
+    mesh.polygons.foreach_set("material_index", slot.reshape(-1).astype(np.int32))
+    if varying:
+        colors = mesh.color_attributes.new("diffuse", "FLOAT_COLOR", "CORNER")
+        colors.data.foreach_set("color", _flat(np.insert(np.repeat(diffuse, 3, axis=0), 3, 1, axis=1)))
+
+    mesh.update(calc_edges=True)
+    # Setting normals on a mesh that Blender has not validated crashes it.
+    if mesh.validate() or len(mesh.polygons) != count:
+        raise SceneError(f"object '{name}': Blender finds invalid triangles in it: repair the mesh")
+    mesh.polygons.foreach_set("use_smooth", np.ones(count, bool))
+    mesh.normals_split_custom_set_from_vertices(triangles.normals[part].reshape(-1, 3))
+    return mesh
+
+
+def _material(bpy: ModuleType, row: np.ndarray, diffuse_attribute: str | None):
+    """Diffuse + GGX (+ emission) from one row of `SceneTriangles.material`."""
+    material = bpy.data.materials.new("surface")
+    material.use_nodes = True
+    tree = material.node_tree
+    tree.nodes.clear()
+
+    def node(kind: str, **inputs):
+        new = tree.nodes.new(kind)
+        for name, value in inputs.items():
+            new.inputs[name].default_value = value
+        return new
+
+    def added(first, second):
+        total = tree.nodes.new("ShaderNodeAddShader")
+        tree.links.new(first.outputs[0], total.inputs[0])
+        tree.links.new(second.outputs[0], total.inputs[1])
+        return total
+
+    diffuse = node("ShaderNodeBsdfDiffuse", Color=_rgba(row[DIFFUSE]), Roughness=0.0)
+    if diffuse_attribute:
+        attribute = tree.nodes.new("ShaderNodeAttribute")
+        attribute.attribute_name = diffuse_attribute
+        tree.links.new(attribute.outputs["Color"], diffuse.inputs["Color"])
+    glossy = node("ShaderNodeBsdfAnisotropic", Color=_rgba(row[SPECULAR]), Roughness=float(row[ROUGHNESS][0]))
+    glossy.distribution = "MULTI_GGX"
+    surface = added(diffuse, glossy)
+    strength = float(row[EMISSION].max())
+    if strength > 0:
+        light = node("ShaderNodeEmission", Color=_rgba(row[EMISSION] / strength), Strength=strength)
+        surface = added(surface, light)
+        material.cycles.emission_sampling = "FRONT_BACK"
+    tree.links.new(surface.outputs[0], tree.nodes.new("ShaderNodeOutputMaterial").inputs["Surface"])
+    return material
+
+
+def _flat(values: np.ndarray) -> np.ndarray:
+    return np.ascontiguousarray(values, dtype=np.float32).reshape(-1)
+
+
+def _rgba(rgb: np.ndarray) -> tuple[float, float, float, float]:
+    return (*(float(value) for value in rgb), 1.0)

@@ -1,0 +1,150 @@
+"""Scene files: RenderFormer JSON v1.0, read and written."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import Field
+
+from rfpp.errors import SceneError
+from rfpp.scene.files import write_atomically
+from rfpp.scene.mesh import Mesh, decimated, load_mesh, save_mesh
+from rfpp.scene.spec import Camera, Material, Scene, SceneObject, Strict, Transform
+
+VERSION = "1.0"
+
+
+class _SceneEntry(Strict):
+    """The top level of the file."""
+
+    scene_name: str = "scene"
+    version: str
+    objects: dict[str, dict[str, Any]]
+    cameras: tuple[dict[str, Any], ...] = ()
+
+
+class _ObjectEntry(Strict):
+    """One value under `objects`."""
+
+    mesh_path: Annotated[str, Field(min_length=1)]
+    material: dict[str, Any]
+    transform: dict[str, Any] = {}
+    remesh: bool = False
+    remesh_target_face_num: Annotated[int, Field(ge=1)] = 2048
+
+
+def load_scene(path: Path) -> Scene:
+    """Read a scene in RenderFormer JSON v1.0 with its meshes, whose paths are relative to the file.
+
+    An object with `remesh` is reduced to at most `remesh_target_face_num` faces.
+
+    Raises:
+        SceneError: one line with the file, the key and the fix.
+    """
+    with _located(f"{path}"):
+        entry = _SceneEntry(**_parsed(path))
+        if entry.version != VERSION:
+            raise SceneError(f"version: '{entry.version}' cannot be read, only '{VERSION}': convert the file")
+        meshes: dict[Path, Mesh] = {}
+        objects = tuple(_object(name, values, path.parent, meshes) for name, values in entry.objects.items())
+        return Scene(name=entry.scene_name, objects=objects, cameras=tuple(_cameras(entry.cameras)))
+
+
+def save_scene(scene: Scene, path: Path) -> Path:
+    """Write RenderFormer JSON v1.0, and each different mesh as OBJ in the folder `<stem>_meshes` beside it.
+
+    Returns:
+        `path`.
+
+    Raises:
+        UserError: a file cannot be written.
+    """
+    mesh_paths = _save_meshes([item.mesh for item in scene.objects], [item.name for item in scene.objects], path)
+    content = {
+        "scene_name": scene.name,
+        "version": VERSION,
+        "objects": {
+            item.name: {
+                "mesh_path": mesh_path,
+                "transform": item.transform.model_dump(),
+                "material": item.material.model_dump(),
+                "remesh": False,
+            }
+            for item, mesh_path in zip(scene.objects, mesh_paths, strict=True)
+        },
+        "cameras": [camera.model_dump() for camera in scene.cameras],
+    }
+    return write_atomically(path, (json.dumps(content, indent=2) + "\n").encode())
+
+
+def _save_meshes(meshes: list[Mesh], names: list[str], scene_path: Path) -> list[str]:
+    """The path of each mesh relative to the scene file; equal meshes share the file named after the first of them."""
+    written: dict[tuple[bytes, bytes], str] = {}
+    paths = []
+    for mesh, name in zip(meshes, names, strict=True):
+        content = (mesh.vertices.tobytes(), mesh.faces.tobytes())
+        if content not in written:
+            # The number keeps names apart that differ only in characters which file systems do not like.
+            file_name = f"{len(written):02d}_{re.sub(r'[^A-Za-z0-9_.-]', '_', name)}.obj"
+            written[content] = f"{scene_path.stem}_meshes/{file_name}"
+            save_mesh(mesh, scene_path.parent / written[content])
+        paths.append(written[content])
+    return paths
+
+
+def _parsed(path: Path) -> dict[str, Any]:
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"), object_pairs_hook=_without_repeats)
+    except OSError as error:
+        raise SceneError(f"cannot be read ({error.strerror}): correct the path") from None
+    except UnicodeDecodeError:
+        raise SceneError("is not UTF-8 text: give a scene in RenderFormer JSON v1.0") from None
+    except json.JSONDecodeError as error:
+        raise SceneError(f"line {error.lineno}: malformed JSON, {error.msg}: correct it") from None
+    if not isinstance(content, dict):
+        raise SceneError("is not a JSON object: give a scene in RenderFormer JSON v1.0")
+    return content
+
+
+def _without_repeats(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    content = dict(pairs)
+    if len(content) < len(pairs):
+        keys = [key for key, _ in pairs]
+        repeated = next(key for key in keys if keys.count(key) > 1)
+        raise SceneError(f"the key '{repeated}' occurs twice in one place: rename or remove one")
+    return content
+
+
+def _object(name: str, values: dict[str, Any], folder: Path, meshes: dict[Path, Mesh]) -> SceneObject:
+    with _located(f"object '{name}'"):
+        entry = _ObjectEntry(**values)
+        mesh_path = folder / entry.mesh_path
+        if mesh_path not in meshes:
+            meshes[mesh_path] = load_mesh(mesh_path)
+        mesh = meshes[mesh_path]
+        return SceneObject(
+            name=name,
+            mesh=decimated(mesh, entry.remesh_target_face_num) if entry.remesh else mesh,
+            material=Material(**entry.material),
+            transform=Transform(**entry.transform),
+        )
+
+
+def _cameras(entries: tuple[dict[str, Any], ...]) -> Iterator[Camera]:
+    for index, values in enumerate(entries):
+        with _located(f"cameras.{index}"):
+            yield Camera(**values)
+
+
+@contextmanager
+def _located(where: str) -> Iterator[None]:
+    """Put `where` in front of the message of any SceneError raised inside."""
+    try:
+        yield
+    except SceneError as error:
+        raise SceneError(f"{where}: {error}") from None

@@ -1,0 +1,179 @@
+"""Triangle meshes: load, save, normalise, decimate."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import fast_simplification
+import numpy as np
+import trimesh
+
+from rfpp.errors import SceneError
+from rfpp.scene.files import write_atomically
+
+#: A triangle lower than this fraction of its longest side has no direction in float32.
+_DEGENERATE_SLIMNESS = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class Mesh:
+    """An indexed triangle mesh, valid by construction.
+
+    Attributes:
+        vertices: [V, 3] float32.
+        faces: [F, 3] int32 vertex indices, counter-clockwise seen from outside.
+
+    Raises:
+        SceneError: no faces, a face index out of range, a vertex that is NaN or infinite.
+    """
+
+    vertices: np.ndarray
+    faces: np.ndarray
+
+    def __post_init__(self) -> None:
+        with np.errstate(over="ignore"):  # too large for float32 becomes infinite, which is reported below
+            vertices = np.ascontiguousarray(self.vertices, dtype=np.float32).reshape(-1, 3)
+        faces = np.ascontiguousarray(self.faces).reshape(-1, 3)
+        if len(faces) == 0:
+            raise SceneError("the mesh has no faces: export it with triangles")
+        if faces.min() < 0 or faces.max() >= len(vertices):
+            bad = int(np.argmax(((faces < 0) | (faces >= len(vertices))).any(axis=1)))
+            raise SceneError(f"face {bad} refers to a vertex outside 0…{len(vertices) - 1}: export the mesh again")
+        if not np.isfinite(vertices).all():
+            bad = int(np.argmin(np.isfinite(vertices).all(axis=1)))
+            raise SceneError(f"vertex {bad} is NaN or infinite: repair or export the mesh again")
+        object.__setattr__(self, "vertices", vertices)
+        object.__setattr__(self, "faces", faces.astype(np.int32, copy=False))
+
+    def __len__(self) -> int:
+        """The number of faces."""
+        return len(self.faces)
+
+    @property
+    def corners(self) -> np.ndarray:
+        """[F, 3, 3] corner positions."""
+        return self.vertices[self.faces]
+
+
+def load_mesh(path: Path) -> Mesh:
+    """Read an OBJ, PLY or STL file; polygons are cut into triangles, materials and stored normals are ignored.
+
+    Raises:
+        SceneError: naming the file, if it is missing, unreadable or not a valid `Mesh`.
+    """
+    if path.suffix.lower() not in {".obj", ".ply", ".stl"}:
+        raise SceneError(f"{path}: '{path.suffix}' is not a mesh format that can be read: export OBJ, PLY or STL")
+    if not path.is_file():
+        raise SceneError(f"{path}: there is no such mesh file: correct the path")
+    if path.suffix.lower() == ".obj":
+        _check_obj_indices(path)
+    try:
+        loaded = trimesh.load_mesh(path, process=False, skip_materials=True)
+        vertices, faces = loaded.vertices, loaded.faces
+    except Exception as error:  # trimesh's readers raise whatever the file makes them stumble over
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise SceneError(f"{path}: cannot be read as a mesh ({reason}): export it again") from None
+    try:
+        return Mesh(vertices, faces)
+    except SceneError as error:
+        raise SceneError(f"{path}: {error}") from None
+
+
+def save_mesh(mesh: Mesh, path: Path) -> None:
+    """Write an OBJ file that reads back exactly. Raises UserError if it cannot be written."""
+    lines = [f"v {x} {y} {z}" for x, y, z in mesh.vertices] + [f"f {a} {b} {c}" for a, b, c in mesh.faces + 1]
+    write_atomically(path, ("\n".join(lines) + "\n").encode())
+
+
+def normalized(mesh: Mesh) -> Mesh:
+    """Subtract the mean of the vertices and scale so that the farthest vertex is at distance 0.5 (RenderFormer)."""
+    centred = mesh.vertices - mesh.vertices.mean(axis=0, dtype=np.float64)
+    radius = np.linalg.norm(centred, axis=1).max()
+    if radius == 0:
+        raise SceneError("all vertices coincide: check the mesh")
+    return Mesh(centred * (0.5 / radius), mesh.faces)
+
+
+def decimated(mesh: Mesh, target_faces: int) -> Mesh:
+    """At most `target_faces` faces by quadric edge collapse; the mesh itself if it has no more than that.
+
+    Slivers, as in the caps of a fine cylinder, can stop the collapse early; then vertices that share a cell of an ever
+    coarser grid are merged first.
+
+    Raises:
+        SceneError: so few faces cannot be had, as with more loose triangles than that.
+    """
+    if len(mesh) <= target_faces:
+        return mesh
+    solid = without_degenerate_faces(welded(mesh))
+    for grid_cells in (None, 256, 128, 64, 32, 16, 8, 4):
+        try:
+            coarse = solid if grid_cells is None else _clustered(solid, grid_cells)
+            if len(coarse) <= target_faces:
+                return coarse
+            vertices, faces = fast_simplification.simplify(coarse.vertices, coarse.faces, target_count=target_faces)
+            reduced = without_degenerate_faces(Mesh(vertices, faces))
+        except SceneError:  # nothing was left
+            continue
+        if len(reduced) <= target_faces:
+            return reduced
+    raise SceneError(f"the mesh cannot be reduced to {target_faces} faces: raise the target or simplify it by hand")
+
+
+def without_degenerate_faces(mesh: Mesh) -> Mesh:
+    """The mesh without triangles of zero area and without vertices that no face uses.
+
+    Raises:
+        SceneError: no triangle is left.
+    """
+    corners = mesh.corners.astype(np.float64)
+    edges = np.roll(corners, -1, axis=1) - corners
+    longest = np.linalg.norm(edges, axis=2).max(axis=1)
+    twice_area = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
+    solid = twice_area > _DEGENERATE_SLIMNESS * longest**2
+    if not solid.any():
+        raise SceneError("every triangle has zero area: check the mesh and its scale")
+    used, faces = np.unique(mesh.faces[solid], return_inverse=True)
+    return Mesh(mesh.vertices[used], faces.reshape(-1, 3))
+
+
+def welded(mesh: Mesh) -> Mesh:
+    """Vertices at equal positions made one (an STL file repeats them for every face)."""
+    vertices, index = np.unique(mesh.vertices + 0.0, axis=0, return_inverse=True)  # + 0.0 turns -0.0 into 0.0
+    return Mesh(vertices, index.reshape(-1)[mesh.faces])
+
+
+def _clustered(mesh: Mesh, cells: int) -> Mesh:
+    """Merge the vertices in each cell of a grid with `cells` cells along the longest side of the bounding box."""
+    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+    cell = np.floor((mesh.vertices - low) * (cells / (high - low).max()))
+    _, index, count = np.unique(cell, axis=0, return_inverse=True, return_counts=True)
+    index = index.reshape(-1)
+    sums = np.stack([np.bincount(index, weights=column) for column in mesh.vertices.T], axis=1)
+    faces = index[mesh.faces]
+    _, first = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)
+    return without_degenerate_faces(Mesh(sums / count[:, None], faces[np.sort(first)]))
+
+
+def _check_obj_indices(path: Path) -> None:
+    """Raise SceneError at the first face that names a vertex which the file does not have."""
+    vertices, named = 0, []
+    for number, line in _lines(path):
+        if line[:2] in ("v ", "v\t"):
+            vertices += 1
+        elif line[:2] in ("f ", "f\t"):
+            for index in (token.split("/")[0] for token in line.split("#")[0].split()[1:]):
+                if index.lstrip("-").isdigit():
+                    named.append((number, int(index), vertices + int(index) + 1 if int(index) < 0 else int(index)))
+    for number, written, index in named:
+        if not 1 <= index <= vertices:
+            raise SceneError(
+                f"{path}: line {number}: the face refers to vertex {written} of {vertices}: export the mesh again"
+            )
+
+
+def _lines(path: Path) -> Iterator[tuple[int, str]]:
+    with path.open(encoding="utf-8", errors="replace") as file:
+        yield from ((number, line.lstrip()) for number, line in enumerate(file, start=1))

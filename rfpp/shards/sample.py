@@ -1,0 +1,137 @@
+"""One scene as one sample: what is stored, under which key, in which precision.
+
+`data/README.md` lists the members for people; `encode` and `decode` are the definition.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from safetensors import SafetensorError
+from safetensors.numpy import load as load_arrays
+from safetensors.numpy import save as save_arrays
+
+from rfpp.errors import ShardError
+from rfpp.exr import HALF_MAX, ImageFileError, decode_exr, encode_exr
+from rfpp.gbuffer.first_hit import GBuffer
+from rfpp.scene.triangles import SceneTriangles
+
+#: Raised whenever a member, a dtype or a meaning changes; data of another version is refused, never guessed at.
+SCHEMA_VERSION = 1
+
+
+@dataclass(frozen=True, eq=False)
+class SceneSample:
+    """One scene, seen and lit.
+
+    Attributes:
+        key: unique in the data set, e.g. "train-000012".
+        triangles: the whole scene in world space.
+        c2w: [V, 4, 4] float32 camera-to-world, Blender axes.
+        fov: [V] float32 degrees along the longer image side.
+        images: [V, H, W, 3] float32 linear radiance; half-precision values once stored.
+        gbuffers: V G-buffers.
+        meta: JSON-able: how the scene was made.
+    """
+
+    key: str
+    triangles: SceneTriangles
+    c2w: Float[np.ndarray, "v 4 4"]
+    fov: Float[np.ndarray, " v"]
+    images: Float[np.ndarray, "v h w 3"]
+    gbuffers: tuple[GBuffer, ...]
+    meta: dict
+
+
+def encode(sample: SceneSample) -> dict[str, bytes]:
+    """Member name → bytes; equal samples give equal bytes.
+
+    Raises:
+        ShardError: a radiance that is NaN, infinite or beyond half precision; it is never clipped.
+    """
+    geometry = {
+        "positions": sample.triangles.positions.astype(np.float32),
+        "normals": sample.triangles.normals.astype(np.float16),
+        "material": _per_object_if_constant(sample.triangles),
+        "object_offsets": sample.triangles.object_offsets.astype(np.int32),
+    }
+    cameras = {"c2w": sample.c2w.astype(np.float32), "fov": sample.fov.astype(np.float32)}
+    meta = {**sample.meta, "schema_version": SCHEMA_VERSION, "objects": list(sample.triangles.object_names)}
+    members = {
+        "meta.json": json.dumps(meta, sort_keys=True, indent=1, allow_nan=False).encode(),
+        "geometry.safetensors": save_arrays({name: np.ascontiguousarray(a) for name, a in geometry.items()}),
+        "cameras.safetensors": save_arrays({name: np.ascontiguousarray(a) for name, a in cameras.items()}),
+    }
+    for view, (image, gbuffer) in enumerate(zip(sample.images, sample.gbuffers, strict=True)):
+        _require_half_range(image, f"{sample.key}: view {view}")
+        layers = {
+            "RGB": image.astype(np.float16),
+            "normal": gbuffer.normal.astype(np.float16),
+            "depth": gbuffer.depth.astype(np.float32),
+            "triangle": (gbuffer.triangle + 1).astype(np.uint32),
+        }
+        members[f"view{view}.exr"] = encode_exr(layers)
+    return members
+
+
+def decode(key: str, members: Mapping[str, bytes]) -> SceneSample:
+    """The inverse of `encode`. Raises ShardError naming the key: a missing or damaged member, another schema."""
+    try:
+        meta = json.loads(members["meta.json"])
+        if meta.pop("schema_version", None) != SCHEMA_VERSION:
+            raise ShardError(f"{key}: not of schema version {SCHEMA_VERSION}: generate the data again")
+        geometry = load_arrays(members["geometry.safetensors"])
+        cameras = load_arrays(members["cameras.safetensors"])
+        views = [decode_exr(members[f"view{view}.exr"], f"{key}.view{view}.exr") for view in range(len(cameras["fov"]))]
+        triangles = SceneTriangles(
+            positions=geometry["positions"],
+            normals=geometry["normals"].astype(np.float32),
+            material=_per_triangle(geometry["material"], geometry["object_offsets"]),
+            object_offsets=geometry["object_offsets"],
+            object_names=tuple(meta.pop("objects")),
+        )
+        return SceneSample(
+            key=key,
+            triangles=triangles,
+            c2w=cameras["c2w"],
+            fov=cameras["fov"],
+            images=np.stack([view["RGB"] for view in views]).astype(np.float32),
+            gbuffers=tuple(_gbuffer(view) for view in views),
+            meta=meta,
+        )
+    except KeyError as error:
+        raise ShardError(f"{key}: {error} is missing from the sample: generate its shard again") from error
+    except (SafetensorError, ImageFileError, ValueError) as error:
+        raise ShardError(f"{key}: a member is damaged ({error}): generate its shard again") from error
+
+
+def _gbuffer(layers: Mapping[str, np.ndarray]) -> GBuffer:
+    triangle = layers["triangle"].astype(np.int32) - 1
+    return GBuffer(triangle=triangle, normal=layers["normal"].astype(np.float32), depth=layers["depth"])
+
+
+def _per_object_if_constant(triangles: SceneTriangles) -> np.ndarray:
+    """[O, 10] when no object mixes materials, which is the rule and saves most of the bytes; else [M, 10]."""
+    first = triangles.material[triangles.object_offsets[:-1]].astype(np.float32)
+    if np.array_equal(first[triangles.object_index], triangles.material):
+        return first
+    return triangles.material.astype(np.float32)
+
+
+def _per_triangle(material: np.ndarray, object_offsets: np.ndarray) -> np.ndarray:
+    if len(material) == object_offsets[-1]:  # also right when every object is a single triangle
+        return material
+    return np.repeat(material, np.diff(object_offsets), axis=0)
+
+
+def _require_half_range(image: np.ndarray, name: str) -> None:
+    if not np.isfinite(image).all():
+        raise ShardError(f"{name}: the rendered radiance is NaN or infinite: check the scene's materials and lights")
+    if np.abs(image).max() > HALF_MAX:
+        raise ShardError(
+            f"{name}: radiance {np.abs(image).max():.6g} is beyond half precision ({HALF_MAX:.0f}): lower the emission"
+        )

@@ -1,0 +1,34 @@
+"""One sample ↔ its blocks in a tar file. Equal members give equal bytes: no clock, no owner."""
+
+from __future__ import annotations
+
+import io
+import tarfile
+from collections.abc import Mapping
+
+#: What ends every tar file.
+END_OF_ARCHIVE = bytes(2 * tarfile.BLOCKSIZE)
+
+
+def pack(key: str, members: Mapping[str, bytes]) -> bytes:
+    """The tar blocks of `{key}.{member}` files, in the given order, without the end of the archive."""
+    blocks = io.BytesIO()
+    for member, data in members.items():
+        entry = tarfile.TarInfo(f"{key}.{member}")
+        entry.size = len(data)
+        entry.mode = 0o644
+        blocks.write(entry.tobuf(tarfile.USTAR_FORMAT))
+        blocks.write(data)
+        blocks.write(bytes(-len(data) % tarfile.BLOCKSIZE))
+    return blocks.getvalue()
+
+
+def unpack(blocks: bytes) -> tuple[str, dict[str, bytes]]:
+    """The key and the members of one sample's blocks. Raises tarfile.TarError on anything else."""
+    members: dict[str, bytes] = {}
+    key = ""
+    with tarfile.open(fileobj=io.BytesIO(blocks)) as archive:
+        for entry in archive:
+            key, _, member = entry.name.partition(".")
+            members[member] = archive.extractfile(entry).read()
+    return key, members

@@ -1,0 +1,93 @@
+"""Writing: a shard appears whole under its name, then its index; half of one never passes for finished."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+from rfpp.errors import UserError
+from rfpp.scene.files import write_atomically
+from rfpp.shards.manifest import SampleEntry, Shard, index_path
+from rfpp.shards.tar import END_OF_ARCHIVE
+
+
+class ShardWriter:
+    """Writes one tar under a temporary name; `commit` moves it into place and writes the index after it.
+
+    Args:
+        root: the data set's folder.
+        file: the tar's name.
+        fingerprint: identifies the settings that the samples are made with.
+
+    Raises:
+        UserError: naming the tar, when the disk is full or the folder cannot be written; nothing is left behind.
+    """
+
+    def __init__(self, root: Path, file: str, fingerprint: str) -> None:
+        self._root = root
+        self._name = file
+        self._fingerprint = fingerprint
+        self._partial = root / f".{file}.part"
+        self._digest = hashlib.sha256()
+        self._size = 0
+        self._samples: list[SampleEntry] = []
+        with self._reporting_full_disk():
+            self._file = self._partial.open("wb")
+
+    def add(
+        self, key: str, blocks: bytes, *, triangles: int, objects: int, scene_redraws: int, camera_redraws: int
+    ) -> None:
+        """Append one packed sample (`rfpp.shards.tar.pack`)."""
+        digest = hashlib.sha256(blocks).hexdigest()
+        entry = SampleEntry(key, self._size, len(blocks), digest, triangles, objects, scene_redraws, camera_redraws)
+        self._append(blocks)
+        self._samples.append(entry)
+
+    def commit(self) -> Shard:
+        """Finish the tar, put it in place, then its index."""
+        self._append(END_OF_ARCHIVE)
+        index = index_path(self._root, self._name)
+        with self._reporting_full_disk():
+            self._file.flush()
+            os.fsync(self._file.fileno())
+            self._file.close()
+            index.unlink(missing_ok=True)  # never an old index beside a new tar
+            os.replace(self._partial, self._root / self._name)
+        shard = Shard(self._name, self._size, self._digest.hexdigest(), self._fingerprint, tuple(self._samples))
+        write_json(index, shard.to_json())
+        return shard
+
+    def discard(self) -> None:
+        """Leave nothing of an unfinished shard behind."""
+        with suppress(OSError):  # on a full disk even closing fails
+            self._file.close()
+        self._partial.unlink(missing_ok=True)
+
+    def _append(self, data: bytes) -> None:
+        with self._reporting_full_disk():
+            self._file.write(data)
+        self._digest.update(data)
+        self._size += len(data)
+
+    @contextmanager
+    def _reporting_full_disk(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            if hasattr(self, "_file"):
+                self.discard()
+            raise UserError(
+                f"{self._root / self._name}: cannot be written ({error.strerror}): free space or choose another "
+                "data.root, then run the same command again (finished shards are kept)"
+            ) from error
+
+
+def write_json(path: Path, content: Any) -> None:
+    """Write compact, sorted JSON atomically: equal content, equal bytes. Raises UserError (full disk)."""
+    text = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    write_atomically(path, text.encode() + b"\n")

@@ -1,0 +1,1 @@
+"""Lightning and MLflow live here and nowhere else."""

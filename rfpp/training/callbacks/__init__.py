@@ -1,0 +1,1 @@
+"""What watches a training run: consistency residuals, image panels, throughput, progress."""

@@ -1,0 +1,94 @@
+"""The LightningModule: one network, one loss, and what is logged of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import lightning as L
+import torch
+from torch import Tensor, nn
+from torch.optim import Optimizer
+from torch.optim.lr_scheduler import LRScheduler
+
+from rfpp.batch import RaggedBatch
+from rfpp.inference.checkpoint import CHECKPOINT_KEY, CheckpointInfo
+from rfpp.losses.rendering import RenderingLoss
+from rfpp.metrics.image import ImageMetrics
+from rfpp.model.renderformer_pp import Rendering
+from rfpp.radiance import log_decode
+
+
+class RenderingModule(L.LightningModule):
+    """Trains a network to render.
+
+    Args:
+        network: RaggedBatch → Rendering.
+        loss: see RenderingLoss.
+        metrics: of validation, on linear radiance.
+        optimizer: parameter groups → optimizer.
+        schedule: optimizer → learning-rate schedule, stepped once per optimizer step.
+        info: what the checkpoint says about itself, so that it can be loaded without this class.
+    """
+
+    def __init__(
+        self,
+        network: nn.Module,
+        loss: RenderingLoss,
+        metrics: ImageMetrics,
+        optimizer: Callable[[Iterable[dict]], Optimizer],
+        schedule: Callable[[Optimizer], LRScheduler],
+        info: CheckpointInfo,
+    ):
+        super().__init__()
+        self.network, self.loss, self.metrics, self.info = network, loss, metrics, info
+        self._optimizer, self._schedule = optimizer, schedule
+
+    def forward(self, batch: RaggedBatch) -> Rendering:
+        return self.network(batch)
+
+    def training_step(self, batch: RaggedBatch, _: int) -> dict[str, Tensor]:
+        rendering = self(batch)
+        terms = self.loss(rendering.log_radiance, rendering.transport_states, batch.image)
+        scalars = {f"train/{name}": value.detach() for name, value in terms.items() if name != "loss"}
+        self.log("train/loss", terms["loss"].detach(), prog_bar=True, batch_size=len(batch.keys))
+        self.log_dict(scalars, batch_size=len(batch.keys))
+        return terms
+
+    def validation_step(self, batch: RaggedBatch, _: int) -> Tensor:
+        """Logs every metric; returns the predicted radiance [B, V, 3, H, W] for the callbacks."""
+        radiance = log_decode(self(batch).log_radiance)
+        values = self.metrics(radiance.flatten(0, 1), batch.image.flatten(0, 1))
+        for name, per_image in values.items():
+            self.log(
+                f"validation/{name}",
+                per_image.mean(),
+                batch_size=len(per_image),
+                sync_dist=True,
+                prog_bar=name == "log_l1",
+            )
+        return radiance
+
+    def configure_optimizers(self) -> dict[str, Any]:
+        optimizer = self._optimizer(decay_groups(self.network))
+        return {
+            "optimizer": optimizer,
+            "lr_scheduler": {"scheduler": self._schedule(optimizer), "interval": "step", "name": "learning_rate"},
+        }
+
+    def on_before_optimizer_step(self, optimizer: Optimizer) -> None:
+        norms = [p.grad.norm() for p in self.network.parameters() if p.grad is not None]
+        self.log("train/gradient_norm", torch.stack(norms).norm())
+
+    def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
+        checkpoint[CHECKPOINT_KEY] = self.info.to_dict()
+
+    def transfer_batch_to_device(self, batch: RaggedBatch, device: torch.device, _: int) -> RaggedBatch:
+        return batch.to(device, non_blocking=True)
+
+
+def decay_groups(network: nn.Module) -> list[dict]:
+    """Two parameter groups: weight decay (the optimizer's) for matrices, none for norms, biases and tokens."""
+    matrices = [p for p in network.parameters() if p.ndim >= 2]
+    others = [p for p in network.parameters() if p.ndim < 2]
+    return [{"params": matrices}, {"params": others, "weight_decay": 0.0}]

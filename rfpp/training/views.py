@@ -1,0 +1,148 @@
+"""From a stored scene to what a training step sees of it: some of its views, moved rigidly at random."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+from torch.utils.data import Dataset, Sampler
+
+from rfpp.batch import SceneViews
+from rfpp.gbuffer.first_hit import stack_channels
+from rfpp.scene.triangles import SceneTriangles
+from rfpp.shards.sample import SceneSample
+from rfpp.shards.stream import EpochSampler, ShardSplit
+
+
+def select_views(sample: SceneSample, views: Sequence[int], channels: Sequence[str]) -> SceneViews:
+    """The chosen views of a stored scene, with the G-buffer channels a network asks for, channels first."""
+    material = sample.triangles.material
+    gbuffer = [stack_channels(sample.gbuffers[v], material, float(sample.fov[v]), channels) for v in views]
+    return SceneViews(
+        key=sample.key,
+        triangles=sample.triangles,
+        c2w=sample.c2w[list(views)],
+        fov=sample.fov[list(views)],
+        gbuffer=np.stack(gbuffer),
+        image=np.ascontiguousarray(sample.images[list(views)].transpose(0, 3, 1, 2)),
+    )
+
+
+@dataclass(frozen=True)
+class RigidAugmentation:
+    """Moves scene and cameras together: the images, and the G-buffers in camera space, stay as they are.
+
+    RSPE makes the network indifferent to translations but not to rotations (RenderFormer trains so too).
+
+    Args:
+        rotation: standard deviation of each component of the rotation vector, radians.
+        translation: standard deviation of each component of the translation, world units.
+    """
+
+    rotation: float
+    translation: float
+
+    def __call__(self, views: SceneViews, rng: np.random.Generator) -> SceneViews:
+        turn = Rotation.from_rotvec(rng.normal(0, self.rotation, 3)).as_matrix()
+        shift = rng.normal(0, self.translation, 3)
+        return moved(views, turn, shift)
+
+
+def moved(views: SceneViews, rotation: np.ndarray, translation: np.ndarray) -> SceneViews:
+    """Scene and cameras after p → rotation · p + translation."""
+    old = views.triangles
+    triangles = SceneTriangles(
+        positions=(old.positions @ rotation.T + translation).astype(np.float32),
+        normals=(old.normals @ rotation.T).astype(np.float32),
+        material=old.material,
+        object_offsets=old.object_offsets,
+        object_names=old.object_names,
+    )
+    move = np.eye(4)
+    move[:3, :3], move[:3, 3] = rotation, translation
+    return replace(views, triangles=triangles, c2w=(move @ views.c2w).astype(np.float32))
+
+
+class TrainingViews(Dataset):
+    """Random views of a split's scenes, a pure function of (seed, epoch, scene).
+
+    Args:
+        split: stored scenes.
+        channels: G-buffer channels.
+        views_per_scene: views drawn without replacement from each scene's.
+        augmentation: applied to each draw, or None.
+        seed: of the draws.
+    """
+
+    def __init__(
+        self,
+        split: ShardSplit,
+        channels: Sequence[str],
+        views_per_scene: int,
+        augmentation: RigidAugmentation | None,
+        seed: int,
+    ):
+        self.split, self.channels = split, tuple(channels)
+        self.views_per_scene, self.augmentation, self.seed = views_per_scene, augmentation, seed
+
+    def __getitem__(self, draw: tuple[int, int]) -> SceneViews:
+        epoch, index = draw
+        rng = np.random.default_rng(np.random.SeedSequence([self.seed, epoch, index]))
+        sample = self.split[index]
+        views = rng.permutation(len(sample.fov))[: self.views_per_scene].tolist()
+        chosen = select_views(sample, views, self.channels)
+        return self.augmentation(chosen, rng) if self.augmentation else chosen
+
+
+class AllViews(Dataset):
+    """Every view of each scene, as stored: for validation and evaluation."""
+
+    def __init__(self, split: ShardSplit, channels: Sequence[str]):
+        self.split, self.channels = split, tuple(channels)
+
+    def __len__(self) -> int:
+        return len(self.split)
+
+    def __getitem__(self, index: int) -> SceneViews:
+        sample = self.split[index]
+        return select_views(sample, range(len(sample.fov)), self.channels)
+
+
+class GlobalBatches(Sampler[list[tuple[int, int]]]):
+    """One rank's share of each global batch, for a whole run: lists of (epoch, scene index).
+
+    The global order runs through epoch after epoch and is the same for any number of ranks; rank r takes the
+    r-th part of each global batch.
+
+    Args:
+        scenes: number of scenes in the split.
+        seed: of the order.
+        scenes_per_batch: global, over all ranks.
+        batches: how many global batches to give.
+        rank, ranks: which part to take.
+    """
+
+    def __init__(self, scenes: int, seed: int, scenes_per_batch: int, batches: int, rank: int = 0, ranks: int = 1):
+        if scenes_per_batch % ranks:
+            raise ValueError(f"{scenes_per_batch} scenes per step do not divide among {ranks} ranks")
+        self.order = EpochSampler(scenes, seed)
+        self.scenes_per_batch, self.batches = scenes_per_batch, batches
+        self.rank, self.ranks = rank, ranks
+
+    def __len__(self) -> int:
+        return self.batches
+
+    def __iter__(self) -> Iterator[list[tuple[int, int]]]:
+        draws, share = self._draws(), self.scenes_per_batch // self.ranks
+        for _ in range(self.batches):
+            batch = [next(draws) for _ in range(self.scenes_per_batch)]
+            yield batch[self.rank * share : (self.rank + 1) * share]
+
+    def _draws(self) -> Iterator[tuple[int, int]]:
+        epoch = 0
+        while True:
+            self.order.set_epoch(epoch)
+            yield from ((epoch, index) for index in self.order)
+            epoch += 1

@@ -1,0 +1,16 @@
+"""Settings and fixtures of the whole suite."""
+
+import multiprocessing
+from concurrent.futures import ProcessPoolExecutor
+
+import pytest
+import torch
+
+torch.set_num_threads(1)  # two threads on busy cores stall each other
+
+
+@pytest.fixture(scope="session")
+def in_blender():
+    """`in_blender(function, *args)` runs an importable function in a spawned process, where bpy may live."""
+    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as worker:
+        yield lambda function, *args: worker.submit(function, *args).result(timeout=300)

@@ -1,0 +1,79 @@
+import pytest
+import torch
+from torch import nn
+
+from rfpp.losses import perceptual as perceptual_module
+from rfpp.losses.perceptual import PerceptualLoss
+from rfpp.metrics.image import ImageMetrics
+from rfpp.metrics.lpips import LPIPS
+from rfpp.metrics.lpips_weights import CONV_CHANNELS, linear_weights
+from rfpp.radiance import log_decode, log_encode
+
+
+@pytest.fixture(scope="module")
+def lpips() -> LPIPS:
+    generator = torch.Generator().manual_seed(0)
+    trunk = {}
+    for name, (inputs, outputs) in CONV_CHANNELS.items():
+        trunk[f"{name}.weight"] = (2 / (9 * inputs)) ** 0.5 * torch.randn(outputs, inputs, 3, 3, generator=generator)
+        trunk[f"{name}.bias"] = torch.zeros(outputs)
+    return LPIPS(trunk, linear_weights())
+
+
+@pytest.fixture
+def make_loss(lpips, monkeypatch):
+    monkeypatch.setattr(perceptual_module.LPIPS, "pretrained", classmethod(lambda cls, path: lpips))
+    return PerceptualLoss
+
+
+def _views(seed: int, scenes: int = 2, views: int = 2) -> torch.Tensor:
+    return 0.8 * torch.rand(scenes, views, 3, 16, 16, generator=torch.Generator().manual_seed(seed))
+
+
+def test_is_the_mean_of_the_lpips_metric(make_loss, lpips) -> None:
+    predicted_log, target = log_encode(_views(0)), _views(1)
+    metric = ImageMetrics(lpips)(log_decode(predicted_log).flatten(0, 1), target.flatten(0, 1))["lpips"]
+    torch.testing.assert_close(make_loss()(predicted_log, target), metric.mean())
+
+
+def test_descending_its_gradient_lowers_it(make_loss) -> None:
+    loss, target = make_loss(), _views(1)
+    predicted_log = log_encode(_views(0)).requires_grad_()
+    before = loss(predicted_log, target)
+    before.backward()
+    step = 0.02 * predicted_log.grad / predicted_log.grad.abs().max()
+    assert loss(predicted_log.detach() - step, target) < before.item()
+
+
+def test_only_the_first_images_are_read(make_loss) -> None:
+    predicted_log, target = log_encode(_views(0)).requires_grad_(), _views(1)
+    loss = make_loss(images_per_step=3)(predicted_log, target)
+    torch.testing.assert_close(loss, make_loss()(predicted_log.flatten(0, 1)[:3], target.flatten(0, 1)[:3]))
+    loss.backward()
+    touched = predicted_log.grad.flatten(0, 1).abs().amax(dim=(1, 2, 3)) > 0
+    assert touched.tolist() == [True, True, True, False]
+
+
+def test_more_images_than_the_batch_holds_is_all_of_it(make_loss) -> None:
+    predicted_log, target = log_encode(_views(0)), _views(1)
+    assert make_loss(images_per_step=100)(predicted_log, target) == make_loss()(predicted_log, target)
+
+
+def test_zero_images_are_refused(make_loss) -> None:
+    with pytest.raises(ValueError, match="images_per_step"):
+        make_loss(images_per_step=0)
+
+
+def test_is_float32_under_bf16_autocast(make_loss) -> None:
+    loss, predicted_log, target = make_loss(), log_encode(_views(0)), _views(1)
+    with torch.autocast("cpu", torch.bfloat16):
+        value = loss(predicted_log, target)
+    assert value.dtype == torch.float32
+    assert value == loss(predicted_log, target)
+
+
+def test_the_trunk_is_not_saved_with_its_owner(make_loss) -> None:
+    owner = nn.Linear(2, 2)
+    owner.perceptual = make_loss()
+    assert set(owner.state_dict()) == {"weight", "bias"}
+    assert len(list(owner.parameters())) == 2

@@ -1,0 +1,9 @@
+"""Marks for tests that need more than the core install; the summary of a run says what was skipped and why."""
+
+from importlib.util import find_spec
+
+import pytest
+import torch
+
+requires_blender = pytest.mark.skipif(find_spec("bpy") is None, reason='no Blender: pip install "rfpp[blender]"')
+requires_gpu = pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device")

@@ -1,0 +1,126 @@
+"""The farm: order, pinning, recycling, retries, dead workers, early exit."""
+
+import os
+import signal
+import time
+from pathlib import Path
+
+import pytest
+
+from rfpp.errors import SceneError, UserError
+from rfpp.reference.farm import RenderFarm, WorkerDeathError
+
+
+def slow_square(x: int) -> int:
+    time.sleep(0.05 if x % 3 == 0 else 0)
+    return x * x
+
+
+def affinity(_: int) -> set[int]:
+    return os.sched_getaffinity(0)
+
+
+def process_id(_: int) -> int:
+    return os.getpid()
+
+
+def fail_once(flag: str) -> str:
+    if not Path(flag).exists():
+        Path(flag).touch()
+        raise ValueError("the first time fails")
+    return "done"
+
+
+def die_once(flag: str) -> str:
+    if not Path(flag).exists():
+        Path(flag).touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return "done"
+
+
+def always_die(_: int) -> None:
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def bad_scene(path: str) -> None:
+    with Path(path).open("a") as file:
+        file.write("tried\n")
+    raise SceneError("the mesh has no faces")
+
+
+class UnpicklableError(Exception):
+    def __init__(self, a, b):
+        super().__init__(f"{a} and {b}")
+
+
+def raise_unpicklable(_: int) -> None:
+    raise UnpicklableError("this", "that")
+
+
+def test_results_come_in_the_order_of_the_items():
+    with RenderFarm(2) as farm:
+        assert list(farm.map(slow_square, range(20))) == [(x, x * x) for x in range(20)]
+
+
+def test_items_are_read_lazily_and_workers_serve_several_maps():
+    with RenderFarm(1) as farm:
+        first = dict(farm.map(process_id, range(3)))
+        endless = farm.map(process_id, iter(int, 1))
+        assert next(endless)[1] == first[0]
+        endless.close()
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_getaffinity"), reason="no CPU pinning on this system")
+def test_each_worker_is_pinned_to_its_own_cores_and_the_parent_is_not():
+    before = os.sched_getaffinity(0)
+    with RenderFarm(0) as farm:
+        seen = {frozenset(cores) for _, cores in farm.map(affinity, range(4 * len(farm)))}
+        assert len(farm) == len(before)
+    assert all(len(cores) == 1 for cores in seen)
+    assert os.sched_getaffinity(0) == before
+
+
+def test_a_single_worker_gets_all_cores():
+    with RenderFarm(1) as farm:
+        assert dict(farm.map(affinity, [0]))[0] == os.sched_getaffinity(0)
+
+
+def test_workers_are_recycled():
+    with RenderFarm(1, jobs_per_worker=2) as farm:
+        ids = [pid for _, pid in farm.map(process_id, range(5))]
+    assert len(set(ids)) == 3 and os.getpid() not in ids
+
+
+def test_a_job_that_fails_once_is_tried_again(tmp_path):
+    with RenderFarm(1) as farm:
+        assert [r for _, r in farm.map(fail_once, [str(tmp_path / "flag")])] == ["done"]
+
+
+def test_a_worker_that_is_killed_is_replaced_and_its_item_tried_again(tmp_path):
+    with RenderFarm(1) as farm:
+        assert [r for _, r in farm.map(die_once, [str(tmp_path / "flag")])] == ["done"]
+
+
+def test_an_item_that_always_kills_its_worker_is_an_error_with_the_signal():
+    with RenderFarm(1) as farm:
+        [(_, result)] = farm.map(always_die, [0])
+    assert isinstance(result, WorkerDeathError) and "-9" in str(result)
+
+
+def test_a_user_error_is_final_and_keeps_its_type(tmp_path):
+    tries = tmp_path / "tries"
+    with RenderFarm(1) as farm:
+        [(_, result)] = farm.map(bad_scene, [str(tries)])
+    assert isinstance(result, SceneError) and str(result) == "the mesh has no faces"
+    assert tries.read_text() == "tried\n"
+
+
+def test_an_unpicklable_exception_arrives_with_its_message_and_traceback():
+    with RenderFarm(1) as farm:
+        [(_, result)] = farm.map(raise_unpicklable, [0])
+    assert "this and that" in str(result) and "raise_unpicklable" in result.__notes__[0]
+
+
+def test_a_negative_worker_count_is_refused():
+    with pytest.raises(UserError, match="workers is -1"):
+        RenderFarm(-1)

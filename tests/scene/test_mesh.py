@@ -1,0 +1,147 @@
+"""Meshes: files in and out, normalisation, decimation, degenerate faces."""
+
+from __future__ import annotations
+
+import errno
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from rfpp.errors import SceneError, UserError
+from rfpp.scene.mesh import Mesh, decimated, load_mesh, normalized, save_mesh, welded, without_degenerate_faces
+
+
+def from_trimesh(shape: trimesh.Trimesh) -> Mesh:
+    return Mesh(shape.vertices, shape.faces)
+
+
+def soup(mesh: Mesh) -> Mesh:
+    """The same triangles without shared vertices, as an STL file stores them."""
+    return Mesh(mesh.corners.reshape(-1, 3), np.arange(3 * len(mesh)).reshape(-1, 3))
+
+
+@pytest.fixture
+def sphere() -> Mesh:
+    return from_trimesh(trimesh.creation.icosphere(3))
+
+
+def test_obj_reads_back_exactly(tmp_path: Path, rng: np.random.Generator) -> None:
+    mesh = Mesh(rng.normal(size=(50, 3)) * 10.0 ** rng.integers(-6, 6, (50, 1)), rng.permutation(50)[:48].reshape(-1, 3))
+    save_mesh(mesh, tmp_path / "mesh.obj")
+    np.testing.assert_array_equal(load_mesh(tmp_path / "mesh.obj").corners, mesh.corners)
+    assert os.listdir(tmp_path) == ["mesh.obj"], "a temporary file was left behind"
+
+
+@pytest.mark.parametrize("suffix", ["obj", "ply", "stl"])
+def test_reads_what_others_export(tmp_path: Path, sphere: Mesh, suffix: str) -> None:
+    path = tmp_path / f"sphere.{suffix}"
+    trimesh.Trimesh(sphere.vertices, sphere.faces).export(path)
+    np.testing.assert_allclose(load_mesh(path).corners, sphere.corners, atol=1e-6)
+
+
+def test_obj_with_quads_groups_and_relative_indices(tmp_path: Path) -> None:
+    path = tmp_path / "mesh.obj"
+    path.write_text(
+        "mtllib none.mtl\no a\nv 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvn 0 0 1\nusemtl x\n"
+        "f 1/1/1 2/1/1 3/1/1 4/1/1\no b\nv 0 0 1\nv 1 0 1\nv 0 1 1\nusemtl y\nf -3 -2 -1\n"
+    )
+    assert len(load_mesh(path)) == 3
+
+
+BAD_MESHES = {
+    "missing.obj": (None, "no such mesh file"),
+    "index.obj": ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\nf 1 2 7\n", "line 5: .*vertex 7 of 3"),
+    "zero.obj": ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 0 1 2\n", "line 4: .*vertex 0 of 3"),
+    "relative.obj": ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf -4 -2 -1\n", "line 4: .*vertex -4 of 3"),
+    "slashes.obj": ("v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nf 1/1 2/1 9/1\n", "line 5: .*vertex 9 of 3"),
+    "nan.obj": ("v 0 0 0\nv nan 0 0\nv 0 1 0\nf 1 2 3\n", "NaN or infinite"),
+    "inf.obj": ("v 0 0 0\nv inf 0 0\nv 0 1 0\nf 1 2 3\n", "NaN or infinite"),
+    "huge.obj": ("v 0 0 0\nv 1e60 0 0\nv 0 1 0\nf 1 2 3\n", "NaN or infinite"),
+    "word.obj": ("v 0 zero 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "cannot be read"),
+    "points.obj": ("v 0 0 0\n", "no faces"),
+    "empty.obj": ("", "."),
+    "text.ply": ("this is no mesh\n", "cannot be read"),
+    "index.ply": (
+        "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n"
+        "element face 1\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n1 0 0\n0 1 0\n3 0 1 9\n",
+        "face 0 refers to a vertex outside",
+    ),
+    "text.stl": ("this is no mesh\n", "."),
+    "mesh.fbx": ("", "'.fbx' is not a mesh format"),
+}
+
+
+@pytest.mark.parametrize("name", BAD_MESHES)
+def test_a_bad_mesh_is_one_line_naming_the_file(tmp_path: Path, name: str) -> None:
+    content, message = BAD_MESHES[name]
+    if content is not None:
+        (tmp_path / name).write_text(content)
+    with pytest.raises(SceneError, match=message) as caught:
+        load_mesh(tmp_path / name)
+    assert name in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_a_full_disk_is_named_and_leaves_nothing(tmp_path: Path, sphere: Mesh, monkeypatch) -> None:
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "replace", full)
+    with pytest.raises(UserError, match=r"mesh\.obj: cannot be written \(No space left on device\)"):
+        save_mesh(sphere, tmp_path / "mesh.obj")
+    assert os.listdir(tmp_path) == []
+
+
+def test_normalized_has_its_mean_at_the_origin_and_radius_one_half(sphere: Mesh) -> None:
+    moved = Mesh(sphere.vertices * (3.0, 1.0, 0.2) + (100.0, -7.0, 3.0), sphere.faces)
+    result = normalized(moved).vertices
+    np.testing.assert_allclose(result.mean(axis=0), 0, atol=1e-5)
+    assert np.linalg.norm(result, axis=1).max() == pytest.approx(0.5, abs=1e-5)
+
+
+@pytest.mark.parametrize("target", [4, 13, 50, 200, 777])
+@pytest.mark.parametrize("unshared", [False, True])
+@pytest.mark.parametrize(
+    "shape",
+    [
+        trimesh.creation.icosphere(4),
+        trimesh.creation.torus(1, 0.3),
+        trimesh.creation.cylinder(1, 2, sections=200),  # the slivers of its caps stop an edge collapse
+        trimesh.creation.annulus(0.5, 1, 1),
+    ],
+    ids=["sphere", "torus", "cylinder", "annulus"],
+)
+def test_decimation_never_exceeds_its_target(shape: trimesh.Trimesh, target: int, unshared: bool) -> None:
+    mesh = soup(from_trimesh(shape)) if unshared else from_trimesh(shape)
+    result = decimated(mesh, target)
+    assert 0 < len(result) <= target
+    assert len(without_degenerate_faces(result)) == len(result)
+    assert np.isin(np.arange(len(result.vertices)), result.faces).all()
+
+
+def test_decimation_keeps_the_shape_and_stops_at_the_target(sphere: Mesh) -> None:
+    result = decimated(sphere, 300)
+    assert len(result) == 300
+    np.testing.assert_allclose(np.linalg.norm(result.vertices, axis=1), 1, atol=0.02)
+
+
+def test_decimation_leaves_a_small_mesh_alone(sphere: Mesh) -> None:
+    assert decimated(sphere, len(sphere)) is sphere
+
+
+def test_zero_area_triangles_are_dropped_at_any_scale() -> None:
+    vertices = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [2, 0, 0], [9, 9, 9]])
+    faces = [[0, 1, 2], [0, 1, 1], [0, 1, 3]]
+    for scale in (1e-6, 1.0, 1e6):
+        result = without_degenerate_faces(Mesh(vertices * scale, faces))
+        assert len(result) == 1 and len(result.vertices) == 3
+    with pytest.raises(SceneError, match="every triangle has zero area"):
+        without_degenerate_faces(Mesh(vertices, faces[1:]))
+
+
+def test_welding_joins_equal_positions_only(sphere: Mesh) -> None:
+    result = welded(soup(sphere))
+    assert len(result.vertices) == len(sphere.vertices)
+    np.testing.assert_array_equal(result.corners, sphere.corners)

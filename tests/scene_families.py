@@ -1,0 +1,32 @@
+"""The scene families of conf/scene, and scenes drawn from them."""
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+from hydra import compose, initialize_config_dir
+from hydra.utils import instantiate
+
+from rfpp.scene.sampler import SceneFamily
+from rfpp.scene.spec import Scene
+
+CONF = Path(__file__).parents[1] / "conf"
+
+
+def family(name: str, *overrides: str) -> SceneFamily:
+    """The family as `conf/scene/<name>.yaml` describes it, with Hydra overrides."""
+    with initialize_config_dir(config_dir=str(CONF), version_base="1.3"):
+        cfg = compose(overrides=[f"+scene={name}", *overrides])
+    return instantiate(cfg.scene, _convert_="all")
+
+
+@cache
+def scenes(name: str, count: int) -> tuple[Scene, ...]:
+    """Scenes 0 … count - 1 of a family."""
+    source = family(name)
+    return tuple(source.sample(np.random.default_rng([i, 0]), np.random.default_rng([i, 1])) for i in range(count))
+
+
+def objects(scene: Scene, kind: str) -> list:
+    """The scene's objects of one kind: "background", "object" or "light"."""
+    return [item for item in scene.objects if item.name.startswith(f"{kind}_")]

@@ -1,0 +1,239 @@
+"""Making data sets: splits, rejections, resumption after anything, refusal to mix."""
+
+import errno
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from marks import requires_blender
+from small_data import REFERENCE, SETTINGS, BoxFamily, Constant, Interrupting, Nighttime, invented, make
+
+from rfpp.errors import MissingDependencyError, ShardError, UserError
+from rfpp.shards import writer
+from rfpp.shards.generation import generate
+from rfpp.shards.manifest import Manifest
+from rfpp.shards.stream import ShardSplit
+
+
+class InterruptAfter:
+    """A progress callback that is Ctrl-C after `count` new scenes."""
+
+    def __init__(self, count: int) -> None:
+        self.count = count
+
+    def __call__(self, done: int, total: int) -> None:
+        if done >= self.count:
+            raise KeyboardInterrupt
+
+
+def scenes(manifest: Manifest, split: str) -> list:
+    data = ShardSplit(manifest.root, split)
+    return [data[i] for i in range(len(data))]
+
+
+def hashes(root: Path) -> dict[str, str]:
+    content = json.loads((root / "manifest.json").read_text())
+    return {shard["file"]: shard["sha256"] for shards in content["splits"].values() for shard in shards}
+
+
+def test_counts_files_and_keys(finished):
+    assert [len(shard.samples) for shard in finished.shards("train")] == [2, 2, 1]
+    assert [entry.key for entry in finished.samples("test")] == ["test-000000", "test-000001"]
+    assert finished.counts["scenes"] == 10 and finished.counts["images"] == 20
+    assert finished.counts["triangles"] == 10 * 7
+    assert finished.counts["bytes"] == sum(path.stat().st_size for path in finished.root.glob("*.tar"))
+    assert finished.settings["data"]["resolution"] == 8 and finished.settings["scene"] == "boxes"
+    assert not list(finished.root.glob(".*"))
+
+
+def test_new_views_show_training_scenes_to_other_cameras(finished):
+    train, newviews = scenes(finished, "train"), scenes(finished, "train_newviews")
+    for seen, again in zip(train[:3], newviews, strict=True):
+        np.testing.assert_array_equal(seen.triangles.positions, again.triangles.positions)
+        np.testing.assert_array_equal(seen.triangles.material, again.triangles.material)
+        assert not any(np.allclose(a, b) for a in seen.c2w for b in again.c2w)
+
+
+def test_test_scenes_are_none_of_the_training_scenes(finished):
+    colours = {tuple(s.triangles.material[2]) for split in ("train", "test") for s in scenes(finished, split)}
+    assert len(colours) == 7
+
+
+def test_noise_differs_between_samples(finished):
+    ratio = [s.images / (s.triangles.material[2, :3] + 0.1) for s in scenes(finished, "train")]
+    assert not np.allclose(ratio[0], ratio[1], rtol=0.01)
+
+
+def test_the_same_command_again_does_nothing(copied, finished):
+    before = {path.name: path.stat().st_mtime_ns for path in copied.iterdir()}
+    calls = []
+    again = make(copied, render=None, progress=lambda *counts: calls.append(counts))
+    assert {path.name: path.stat().st_mtime_ns for path in copied.iterdir()} == before
+    assert again.hash == finished.hash and calls == [(10, 10)]
+
+
+@pytest.mark.parametrize("workers", [1, 3])
+@pytest.mark.parametrize("count", [2, 3])  # at the end of a shard; in the middle of one
+def test_resumption_gives_what_an_uninterrupted_run_gives(tmp_path, finished, count, workers):
+    with pytest.raises(KeyboardInterrupt):
+        make(tmp_path, progress=InterruptAfter(count), workers=workers)
+    assert not (tmp_path / "manifest.json").exists()
+    first = (tmp_path / "train-00000.tar").stat()
+    resumed = []
+    manifest = make(tmp_path, progress=lambda done, total: resumed.append(done), workers=workers)
+    assert resumed[0] == count
+    assert (tmp_path / "train-00000.tar").stat().st_mtime_ns == first.st_mtime_ns
+    assert hashes(tmp_path) == hashes(finished.root) and manifest.hash == finished.hash
+
+
+def test_kill_and_rerun_gives_identical_hashes(tmp_path, finished):
+    root = tmp_path / "data"
+    command = f"from pathlib import Path; from small_data import make; make(Path({str(root)!r}))"
+    script = tmp_path / "run.py"
+    script.write_text(f"if __name__ == '__main__':\n    {command}\n")
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(Path(__file__).parent), *sys.path])}
+    run = subprocess.Popen([sys.executable, script], env=environment, start_new_session=True)
+    deadline = time.monotonic() + 60
+    while not (root / "train-00000.tar").exists() and time.monotonic() < deadline:
+        time.sleep(0.002)
+    os.killpg(run.pid, signal.SIGKILL)
+    run.wait()
+    assert (root / "train-00000.tar").exists()
+    assert make(root).hash == finished.hash
+
+
+def test_a_deleted_shard_is_made_again(copied, finished):
+    (copied / "train-00001.tar").unlink()
+    (copied / "train-00001.json").unlink()
+    assert make(copied).hash == finished.hash
+    assert hashes(copied) == hashes(finished.root)
+
+
+def test_a_larger_split_keeps_what_is_there(copied, finished):
+    grown = make(copied, splits={"train": 6, "train_newviews": 3, "test": 2})
+    assert [e.sha256 for e in grown.samples("train")][:5] == [e.sha256 for e in finished.samples("train")]
+    assert len(ShardSplit(copied, "train")) == 6
+
+
+def test_failing_scenes_are_listed_and_the_rest_is_kept(tmp_path, finished):
+    flag = tmp_path / "flag"
+    flag.touch()
+    renderer = Interrupting(flag, below=0.3)
+    reds = [s.triangles.material[2, 0] for split in ("train", "test") for s in scenes(finished, split)]
+    expected = sum(red < 0.3 for red in reds)
+    assert 0 < expected < 7
+    root = tmp_path / "data"
+    with pytest.raises(ShardError, match=rf"{expected} of 10 scenes failed.*seed 7.*the renderer fell over"):
+        make(root, render=renderer)
+    listed = json.loads((root / "failures.json").read_text())
+    assert len(listed) == expected and "__call__" in listed[0]["traceback"] and listed[0]["seed"] == 7
+    flag.unlink()
+    calls = []
+    assert make(root, render=renderer, progress=lambda done, total: calls.append(done)).hash == finished.hash
+    assert calls[0] == 7 - expected  # only the failed scenes and the new views are made
+    assert not (root / "failures.json").exists()
+
+
+def test_cameras_that_see_too_little_are_redrawn_and_counted(tmp_path):
+    manifest = make(tmp_path, BoxFamily(looks_away=0.5))
+    assert manifest.counts["camera_redraws"] > 0 and manifest.counts["scene_redraws"] == 0
+    for split in manifest.splits:
+        for sample, entry in zip(scenes(manifest, split), manifest.samples(split), strict=True):
+            assert min(gbuffer.hit.mean() for gbuffer in sample.gbuffers) >= 0.4
+            assert sample.meta["redraws"] == {"scene": entry.scene_redraws, "cameras": entry.camera_redraws}
+
+
+def test_unlit_scenes_are_drawn_anew_and_new_views_follow(tmp_path):
+    manifest = make(tmp_path, render=Nighttime(below=0.4))
+    train, newviews = scenes(manifest, "train"), scenes(manifest, "train_newviews")
+    assert manifest.counts["scene_redraws"] > 0 and any(e.scene_redraws for e in manifest.samples("train_newviews"))
+    assert all(sample.images.mean() > 0.01 for sample in train + newviews)
+    for seen, again in zip(train[:3], newviews, strict=True):
+        np.testing.assert_array_equal(seen.triangles.positions, again.triangles.positions)
+
+
+@pytest.mark.parametrize("family, render", [(BoxFamily(looks_away=1.0), invented), (BoxFamily(), Constant(0.0))])
+def test_hopeless_scenes_end_with_one_line(tmp_path, family, render):
+    with pytest.raises(ShardError, match="train-000000.*no acceptable views.*min_coverage"):
+        make(tmp_path, family, render, camera_attempts=2, scene_attempts=2, splits={"train": 1})
+
+
+def test_radiance_that_does_not_fit_is_a_failure_that_names_the_scene(tmp_path):
+    with pytest.raises(ShardError, match="train-000000.*beyond half precision"):
+        make(tmp_path, render=Constant(1e5), splits={"train": 1})
+
+
+def test_other_settings_are_refused_with_key_folder_and_remedy(copied):
+    with pytest.raises(ShardError, match=rf"{copied}.*data\.resolution \(8 there, 16 now\).*data\.name"):
+        make(copied, resolution=16)
+    with pytest.raises(ShardError, match="scene"):
+        make(copied, settings={"scene": "spheres"})
+    (copied / "settings.json").unlink()
+    with pytest.raises(ShardError, match=r"train-00000\.tar was made with other settings"):
+        make(copied, seed=8)
+
+
+def test_a_full_disk_names_the_shard_and_keeps_finished_ones(tmp_path, finished, monkeypatch):
+    def full_after_first(descriptor: int) -> None:
+        if (tmp_path / "train-00000.tar").exists():
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(writer.os, "fsync", full_after_first)
+        with pytest.raises(UserError, match=r"train-00001\.tar.*No space left.*free space"):
+            make(tmp_path)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["settings.json", "train-00000.json", "train-00000.tar"]
+    assert make(tmp_path).hash == finished.hash
+
+
+class WithoutBlender:
+    def __call__(self, *args):
+        raise MissingDependencyError("reference images need Blender: pip install it")
+
+
+def test_missing_blender_ends_the_run_at_once(tmp_path):
+    with pytest.raises(MissingDependencyError, match="need Blender"):
+        make(tmp_path, render=WithoutBlender())
+
+
+@pytest.mark.parametrize(
+    "change, message",
+    [
+        ({"views": 0}, r"data\.views is 0"),
+        ({"seed": -1}, r"data\.seed is -1"),
+        ({"min_coverage": 1.5}, r"data\.min_coverage"),
+        ({"splits": {"train": 2, "validation": 1}}, r"data\.splits\.validation.*choose from train"),
+        ({"splits": {"train": 2, "train_newviews": 3}}, "train_newviews is larger"),
+    ],
+)
+def test_bad_settings_are_named(change, message):
+    with pytest.raises(UserError, match=message):
+        replace(SETTINGS, **change)
+
+
+def test_the_number_of_views_must_be_the_familys(tmp_path):
+    with pytest.raises(ShardError, match=r"draws 3 cameras, data\.views is 2"):
+        make(tmp_path, BoxFamily(views=3))
+
+
+@requires_blender
+def test_two_tiny_scenes_with_blender(tmp_path):
+    data = replace(SETTINGS, resolution=32, splits={"train": 2}, min_radiance=1e-4)
+    reference = replace(REFERENCE, samples=4)
+
+    def rendered(name: str) -> Manifest:
+        return generate(BoxFamily(), reference, replace(data, root=str(tmp_path / name)), {}, lambda done, total: None)
+
+    manifest = rendered("once")
+    for sample in scenes(manifest, "train"):
+        assert sample.images.shape == (2, 32, 32, 3)
+        seen = np.stack([gbuffer.hit for gbuffer in sample.gbuffers])
+        assert np.median(sample.images[seen]) > 0.01, "the light must reach the floor"
+    assert rendered("again").hash == manifest.hash

@@ -1,0 +1,93 @@
+"""Samples: what goes in comes out, in the stated precision; equal samples are equal bytes."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from small_data import BoxFamily
+
+from rfpp.errors import ShardError
+from rfpp.gbuffer.first_hit import CHANNELS, first_hit, stack_channels
+from rfpp.scene.camera import camera_to_world
+from rfpp.scene.triangles import SceneTriangles
+from rfpp.shards.sample import SceneSample, decode, encode
+from rfpp.shards.tar import pack, unpack
+
+
+@pytest.fixture
+def sample() -> SceneSample:
+    scene = BoxFamily().sample(np.random.default_rng(1), np.random.default_rng(2))
+    triangles = SceneTriangles.from_scene(scene)
+    c2w = np.stack([camera_to_world(camera) for camera in scene.cameras])
+    fov = np.array([camera.fov for camera in scene.cameras], np.float32)
+    gbuffers = tuple(first_hit(triangles, pose, float(f), 12, 12) for pose, f in zip(c2w, fov, strict=True))
+    images = np.random.default_rng(3).exponential(0.5, (2, 12, 12, 3)).astype(np.float32)
+    return SceneSample("train-000001", triangles, c2w, fov, images, gbuffers, {"family": "boxes", "index": 1})
+
+
+def test_round_trip(sample):
+    again = decode(sample.key, encode(sample))
+    assert again.key == sample.key and again.meta == sample.meta
+    for name in ("positions", "material", "object_offsets", "object_names"):
+        np.testing.assert_array_equal(getattr(again.triangles, name), getattr(sample.triangles, name))
+    np.testing.assert_allclose(again.triangles.normals, sample.triangles.normals, atol=5e-4)
+    np.testing.assert_array_equal(again.c2w, sample.c2w)
+    np.testing.assert_array_equal(again.fov, sample.fov)
+    np.testing.assert_allclose(again.images, sample.images, rtol=2**-11, atol=1e-7)
+    assert again.images.dtype == again.triangles.normals.dtype == np.float32
+    for stored, original in zip(again.gbuffers, sample.gbuffers, strict=True):
+        np.testing.assert_array_equal(stored.triangle, original.triangle)
+        np.testing.assert_array_equal(stored.depth, original.depth)
+        np.testing.assert_allclose(stored.normal, original.normal, atol=5e-4)
+
+
+def test_every_gbuffer_channel_can_be_looked_up(sample):
+    again = decode(sample.key, encode(sample))
+    for stored, original in zip(again.gbuffers, sample.gbuffers, strict=True):
+        assert original.hit.any() and stored.triangle.dtype == np.int32
+        expected = stack_channels(original, sample.triangles.material, 45.0, list(CHANNELS))
+        np.testing.assert_allclose(
+            stack_channels(stored, again.triangles.material, 45.0, list(CHANNELS)), expected, atol=5e-4
+        )
+
+
+def test_stored_values_are_a_fixed_point_and_bytes_are_reproducible(sample):
+    first = encode(sample)
+    assert encode(sample) == first
+    assert encode(decode(sample.key, first)) == first
+
+
+def test_material_is_stored_per_object_unless_an_object_mixes_materials(sample):
+    painted = sample.triangles.material.copy()
+    painted[2:6, 0] = [0.1, 0.2, 0.3, 0.4]
+    mixed = replace(sample, triangles=replace(sample.triangles, material=painted))
+    assert len(encode(mixed)["geometry.safetensors"]) > len(encode(sample)["geometry.safetensors"])
+    np.testing.assert_array_equal(decode("k", encode(mixed)).triangles.material, painted)
+
+
+@pytest.mark.parametrize(("value", "message"), [(np.nan, "NaN"), (np.inf, "infinite"), (70000.0, "70000")])
+def test_radiance_beyond_half_precision_is_an_error_that_names_scene_and_view(sample, value, message):
+    images = sample.images.copy()
+    images[1, 3, 4, 0] = value
+    with pytest.raises(ShardError, match=f"train-000001: view 1.*{message}"):
+        encode(replace(sample, images=images))
+
+
+def test_missing_damaged_and_foreign_members_are_named(sample):
+    members = encode(sample)
+    without = {name: data for name, data in members.items() if name != "view1.exr"}
+    with pytest.raises(ShardError, match=r"train-000001.*view1\.exr"):
+        decode(sample.key, without)
+    for name in ("view0.exr", "geometry.safetensors", "meta.json"):
+        with pytest.raises(ShardError, match="train-000001"):
+            decode(sample.key, {**members, name: members[name][: len(members[name]) // 2]})
+    foreign = members["meta.json"].replace(b'"schema_version": 1', b'"schema_version": 99')
+    with pytest.raises(ShardError, match="schema version"):
+        decode(sample.key, {**members, "meta.json": foreign})
+
+
+def test_tar_blocks_round_trip(sample):
+    members = encode(sample)
+    blocks = pack(sample.key, members)
+    assert len(blocks) % 512 == 0
+    assert unpack(blocks) == (sample.key, members)

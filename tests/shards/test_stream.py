@@ -1,0 +1,172 @@
+"""Reading shards: by plain WebDataset, by index, in a reproducible order; damage is named."""
+
+import json
+import pickle
+import tarfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+import webdataset
+from torch.utils.data import DataLoader
+
+from rfpp.errors import ShardError
+from rfpp.shards import stream
+from rfpp.shards.sample import decode
+from rfpp.shards.stream import EpochSampler, ShardSplit
+
+
+def flip_byte(path: Path, offset: int) -> None:
+    content = bytearray(path.read_bytes())
+    content[offset] ^= 0xFF
+    path.write_bytes(content)
+
+
+def test_plain_webdataset_reads_the_same_samples(finished):
+    urls = sorted(str(path) for path in finished.root.glob("train-*.tar"))
+    plain = {}
+    for sample in webdataset.WebDataset(urls, shardshuffle=False):
+        members = {name: data for name, data in sample.items() if not name.startswith("__")}
+        plain[sample["__key__"]] = decode(sample["__key__"], members)
+    ours = ShardSplit(finished.root, "train")
+    assert list(plain) == [ours.key(i) for i in range(len(ours))]
+    for i in range(len(ours)):
+        np.testing.assert_array_equal(plain[ours.key(i)].images, ours[i].images)
+        np.testing.assert_array_equal(plain[ours.key(i)].gbuffers[1].depth, ours[i].gbuffers[1].depth)
+
+
+def test_tars_are_plain_and_carry_no_clock_or_owner(finished):
+    with tarfile.open(finished.root / "train-00000.tar") as archive:
+        members = archive.getmembers()
+    assert [m.name for m in members[:3]] == [
+        "train-000000.meta.json", "train-000000.geometry.safetensors", "train-000000.cameras.safetensors"
+    ]  # fmt: skip
+    assert len(members) == 2 * (3 + 2)
+    assert {(m.mtime, m.uid, m.gid, m.uname) for m in members} == {(0, 0, 0, "")}
+
+
+def test_random_access_over_shard_boundaries(finished):
+    split = ShardSplit(finished.root, "train")
+    assert [split[i].key for i in (4, 0, 2, 1, 3)] == [f"train-00000{i}" for i in (4, 0, 2, 1, 3)]
+    with pytest.raises(IndexError):
+        split[5]
+
+
+def first_item(samples):
+    return samples[0].key
+
+
+def test_works_in_loader_processes_and_after_pickling(finished):
+    split = ShardSplit(finished.root, "train")
+    split[0]  # holds an open file now
+    assert pickle.loads(pickle.dumps(split))[3].key == "train-000003"
+    loader = DataLoader(split, num_workers=2, collate_fn=first_item, multiprocessing_context="spawn")
+    assert list(loader) == [f"train-00000{i}" for i in range(5)]
+
+
+def test_open_files_are_bounded(finished, monkeypatch):
+    monkeypatch.setattr(stream, "_MAX_OPEN", 2)
+    split = ShardSplit(finished.root, "train")
+    for i in (0, 2, 4, 0, 2):
+        split[i]
+        assert len(split._open) <= 2
+
+
+def test_a_flipped_byte_names_shard_key_and_remedy(copied):
+    split = ShardSplit(copied, "train")
+    entry = split.manifest.samples("train")[3]
+    flip_byte(copied / "train-00001.tar", entry.offset + entry.size // 2)
+    assert split[2].key == "train-000002"  # its neighbour is fine
+    with pytest.raises(ShardError, match=r"train-00001\.tar.*train-000003.*sha256.*delete train-00001\.tar and train"):
+        split[3]
+
+
+def test_a_truncated_shard_is_refused_at_once(copied):
+    path = copied / "train-00000.tar"
+    path.write_bytes(path.read_bytes()[:-700])
+    with pytest.raises(ShardError, match=r"train-00000\.tar.*truncated.*launch/generate\.py"):
+        ShardSplit(copied, "train")
+    assert len(ShardSplit(copied, "test")) == 2
+
+
+def test_a_shard_that_is_cut_while_in_use_is_noticed(copied):
+    split = ShardSplit(copied, "train")
+    split[0]
+    path = copied / "train-00000.tar"
+    with path.open("r+b") as file:
+        file.truncate(path.stat().st_size // 2)
+    with pytest.raises(ShardError, match=r"train-00000\.tar.*train-000001"):
+        split[1]
+
+
+def test_a_missing_shard_is_refused_at_once(copied):
+    (copied / "test-00000.tar").unlink()
+    with pytest.raises(ShardError, match=r"test-00000\.tar.*missing"):
+        ShardSplit(copied, "test")
+
+
+def test_a_manifest_of_other_data_is_noticed(copied):
+    path = copied / "manifest.json"
+    content = json.loads(path.read_text())
+    content["splits"]["train"][0]["samples"][0][3] = "0" * 64
+    path.write_text(json.dumps(content))
+    with pytest.raises(ShardError, match=r"train-000000 does not have the recorded sha256"):
+        ShardSplit(copied, "train")[0]
+
+
+@pytest.mark.parametrize("text", ['{"schema_version": 1}', "[]", "not json", '{"name": 3}'])
+def test_a_broken_manifest_is_named(copied, text):
+    (copied / "manifest.json").write_text(text)
+    with pytest.raises(ShardError, match=r"manifest\.json.*not a data set manifest"):
+        ShardSplit(copied, "train")
+
+
+def test_another_schema_version_is_refused(copied):
+    path = copied / "manifest.json"
+    path.write_text(json.dumps({**json.loads(path.read_text()), "schema_version": 2}))
+    with pytest.raises(ShardError, match="schema version 2, this code reads 1"):
+        ShardSplit(copied, "train")
+
+
+def test_no_data_and_no_such_split_say_what_to_do(finished, tmp_path):
+    with pytest.raises(ShardError, match=r"no finished data set.*launch/generate\.py"):
+        ShardSplit(tmp_path, "train")
+    with pytest.raises(ShardError, match="no split 'validation': choose from test, train, train_newviews"):
+        ShardSplit(finished.root, "validation")
+
+
+def orders(seed: int, epochs: int) -> list[list[int]]:
+    sampler = EpochSampler(50, seed)
+    result = []
+    for epoch in range(epochs):
+        sampler.set_epoch(epoch)
+        result.append(list(sampler))
+    return result
+
+
+def test_order_is_a_function_of_seed_and_epoch():
+    first = orders(0, 3)
+    assert first == orders(0, 3) and first != orders(1, 3)
+    assert all(sorted(order) == list(range(50)) for order in first)
+    assert first[0] != first[1] != first[2]
+    late = EpochSampler(50, 0)
+    late.set_epoch(2)
+    assert list(late) == first[2]
+
+
+@pytest.mark.parametrize("position", [0, 1, 20, 49, 50])
+def test_the_rest_of_an_epoch_follows_after_resumption(position):
+    whole = orders(3, 3)
+    running = EpochSampler(50, 3)
+    running.set_epoch(1)
+    resumed = EpochSampler(50, 3)
+    resumed.load_state_dict(running.state_dict(position))
+    resumed.set_epoch(1)  # as a trainer does at the start of each epoch
+    assert list(resumed) == whole[1][position:]
+    resumed.set_epoch(2)
+    assert list(resumed) == whole[2]
+
+
+def test_an_order_of_another_seed_is_not_resumed():
+    with pytest.raises(ShardError, match="seed 3"):
+        EpochSampler(50, 4).load_state_dict(EpochSampler(50, 3).state_dict(10))
