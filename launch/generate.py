@@ -17,6 +17,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, Task, TextColumn, TimeRemainingColumn
 
 from rfpp.entry import entry_point
+from rfpp.errors import UserError
 from rfpp.shards.generation import generate
 from rfpp.shards.job import DatasetSettings
 from rfpp.shards.manifest import Manifest
@@ -28,19 +29,24 @@ def main(cfg: DictConfig) -> Manifest:
     console = Console()
     data: DatasetSettings = instantiate(cfg.data, _convert_="all")
     settings = {group: OmegaConf.to_container(cfg[group], resolve=True) for group in ("scene", "reference")}
-    console.print(f"Data set '{data.name}' → {data.root}", highlight=False)
+    console.print(f"Data set '{data.name}' → {data.root}", highlight=False, soft_wrap=True)
     begin = time.perf_counter()
-    with _bar(console, data.views) as bar:
-        manifest = generate(instantiate(cfg.scene), instantiate(cfg.reference), data, settings, bar.show)
+    try:
+        with _bar(console, data.views) as bar:
+            manifest = generate(instantiate(cfg.scene), instantiate(cfg.reference), data, settings, bar.show)
+    except KeyboardInterrupt:
+        raise UserError("interrupted: run the same command again to go on, finished scenes are kept") from None
     if bar.made == 0:
-        console.print(f"Nothing to do: all {manifest.counts['scenes']} scenes are there.", highlight=False)
+        console.print(
+            f"Nothing to do: all {manifest.counts['scenes']} scenes are there.", highlight=False, soft_wrap=True
+        )
     else:
-        console.print(_summary(manifest, bar.made, time.perf_counter() - begin), highlight=False)
+        console.print(_summary(manifest, bar.made, time.perf_counter() - begin), highlight=False, soft_wrap=True)
     return manifest
 
 
 class _ImageBar:
-    """A progress bar that counts images and appears with the first scene that is missing."""
+    """A progress bar that counts images, shown if any are missing."""
 
     def __init__(self, progress: Progress, views: int) -> None:
         self._progress = progress
@@ -52,14 +58,16 @@ class _ImageBar:
     def show(self, done: int, total: int) -> None:
         if self._task is None:
             self._done_before = done
-            self._task = self._progress.add_task("images", total=total * self._views, visible=done < total)
+            images = {"total": total * self._views, "before": done * self._views}
+            self._task = self._progress.add_task("images", visible=done < total, **images)
         self.made = done - self._done_before
         self._progress.update(self._task, completed=done * self._views)
 
 
 class _ImagesPerSecond(ProgressColumn):
     def render(self, task: Task) -> str:
-        return f"{task.speed:.1f} images/s" if task.speed else "starting"
+        made = task.completed - task.fields["before"]
+        return f"{made / task.elapsed:.1f} images/s" if made and task.elapsed else "starting"
 
 
 @contextmanager
@@ -74,7 +82,7 @@ def _summary(manifest: Manifest, made: int, seconds: float) -> str:
     return (
         f"Made {made} scenes in {seconds:.0f} s. In all: {counts['scenes']} scenes, {counts['images']} images, "
         f"{counts['triangles']} triangles, {counts['bytes'] / 1e6:.0f} MB; redrawn: {counts['scene_redraws']} scenes, "
-        f"{counts['camera_redraws']} camera sets.\nManifest {manifest.hash[:12]}: {manifest.root}/manifest.json"
+        f"{counts['camera_redraws']} cameras.\nManifest {manifest.hash[:12]}: {manifest.root}/manifest.json"
     )
 
 

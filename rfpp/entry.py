@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import functools
 import sys
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import TypeVar
 
 import hydra
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 
 from rfpp.errors import UserError
 
 Result = TypeVar("Result")
 
+#: Hydra's primary configurations and groups.
 CONFIG_DIR = Path(__file__).resolve().parents[1] / "conf"
 
 
@@ -28,6 +30,7 @@ def entry_point(config_name: str) -> Callable[[Callable[[DictConfig], Result]], 
     def decorate(task: Callable[[DictConfig], Result]) -> Callable[[], Result]:
         @functools.wraps(task)
         def reporting(cfg: DictConfig) -> Result:
+            warnings.formatwarning = _one_line
             try:
                 return task(cfg)
             except UserError as error:
@@ -37,3 +40,14 @@ def entry_point(config_name: str) -> Callable[[Callable[[DictConfig], Result]], 
         return hydra.main(version_base="1.3", config_path=str(CONFIG_DIR), config_name=config_name)(reporting)
 
     return decorate
+
+
+def _one_line(message: Warning | str, category: type[Warning], *_: object) -> str:
+    return f"{'warning' if category is UserWarning else category.__name__}: {message}\n"
+
+
+def required(cfg: DictConfig, key: str) -> str:
+    """A value that only the command line can give. Raises UserError when it is missing."""
+    if OmegaConf.is_missing(cfg, key):
+        raise UserError(f"{key} is not given: add {key}=… to the command line")
+    return cfg[key]

@@ -14,8 +14,8 @@ from rfpp.batch import RaggedBatch
 from rfpp.errors import ShardError, UserError
 from rfpp.evaluation.tables import ImageRecord, scene_means
 from rfpp.gbuffer.first_hit import CHANNELS
-from rfpp.metrics.baselines import Baseline
-from rfpp.metrics.image import ImageMetrics
+from rfpp.metrics.baselines import AlbedoTimesConstant, Baseline, Black, MeanImage
+from rfpp.metrics.image import METRICS, ImageMetrics
 from rfpp.radiance import log_decode
 from rfpp.shards.stream import ShardSplit
 from rfpp.training.views import select_views
@@ -97,17 +97,30 @@ def evaluate_split(
     return records
 
 
-def training_views(split: ShardSplit, scenes: int) -> Iterator[tuple[Tensor, Tensor]]:
-    """(albedo, radiance), both [V, 3, H, W], of evenly spaced scenes, at most `scenes` of them: to fit baselines."""
+def fitted_baselines(train: ShardSplit, scenes: int) -> list[Baseline]:
+    """Every trivial baseline, fitted on evenly spaced training scenes, at most `scenes` of them."""
+    return [baseline.fit(_training_views(train, scenes)) for baseline in (Black(), MeanImage(), AlbedoTimesConstant())]
+
+
+def ranked_scenes(records: Sequence[ImageRecord], metric: str = "log_l1") -> dict[str, int]:
+    """The model's best, median and worst scene of one split: caption, with its mean error → index in the split.
+
+    Args:
+        records: of one whole split, in its order.
+        metric: one where lower is better.
+    """
+    means = scene_means(record for record in records if record.predictor == MODEL)
+    errors = [(values[metric], index, key) for index, ((_, _, key), values) in enumerate(means.items())]
+    ranked = sorted(errors)
+    chosen = {"best": ranked[0], "median": ranked[len(ranked) // 2], "worst": ranked[-1]}
+    label = METRICS[metric].label
+    return {f"{place}: {key}, {label} {error:.4f}": index for place, (error, index, key) in chosen.items()}
+
+
+def _training_views(split: ShardSplit, scenes: int) -> Iterator[tuple[Tensor, Tensor]]:
+    """(albedo, radiance), both [V, 3, H, W], scene by scene."""
     count = min(scenes, len(split))
     for index in np.linspace(0, len(split) - 1, count).round().astype(int):
         sample = split[int(index)]
         views = select_views(sample, range(len(sample.fov)), ("albedo",))
         yield torch.from_numpy(views.gbuffer), torch.from_numpy(views.image)
-
-
-def ranked_scenes(records: Sequence[ImageRecord], metric: str = "log_l1") -> dict[str, tuple[str, float]]:
-    """The model's best, median and worst scene of one split: {"best": (key, mean value), …}."""
-    means = scene_means(record for record in records if record.predictor == MODEL)
-    ranked = sorted(((key, values[metric]) for (_, _, key), values in means.items()), key=lambda pair: pair[1])
-    return {"best": ranked[0], "median": ranked[len(ranked) // 2], "worst": ranked[-1]}

@@ -65,28 +65,35 @@ def write_csv(records: Sequence[ImageRecord], folder: Path) -> list[Path]:
 
 
 def results_table(means: Mapping[tuple[str, str], Values]) -> Group:
-    """The table to print: a block of rows per split, the best value of each column bold; definitions beneath."""
+    """What to print: a table per split, the best value of each column bold; the metrics' definitions beneath."""
     names = [name for name in METRICS if any(name in values for values in means.values())]
-    table = Table()
-    table.add_column("split")
-    table.add_column("predictor")
+    splits = dict.fromkeys(split for split, _ in means)
+    tables = [_split_table(s, {who: v for (split, who), v in means.items() if split == s}, names) for s in splits]
+    notes = [f"{METRICS[name].label}: {METRICS[name].definition}" for name in names]
+    legend = "\n".join(["x: prediction, y: reference, I: either of them. Means over scenes.", *notes])
+    return Group(*tables, Text(legend, style="dim"))
+
+
+def _split_table(split: str, rows: Mapping[str, Values], names: Sequence[str]) -> Table:
+    table = Table(title=split, title_justify="left", title_style="bold")
+    table.add_column("", no_wrap=True)
     for name in names:
-        table.add_column(f"{METRICS[name].label} {_arrow(name)}", justify="right")
-    for split in dict.fromkeys(split for split, _ in means):
-        rows = {predictor: values for (of, predictor), values in means.items() if of == split}
-        best = {name: _best(name, [values[name] for values in rows.values()]) for name in names}
-        for number, (predictor, values) in enumerate(rows.items()):
-            cells = [_cell(name, values[name], values[name] == best[name]) for name in names]
-            table.add_row(split if number == 0 else "", predictor, *cells, end_section=number == len(rows) - 1)
-    notes = "\n".join(f"{METRICS[name].label}: {METRICS[name].definition}" for name in names)
-    return Group(table, Text("x prediction, y reference, I either; means over scenes.\n" + notes, style="dim"))
+        table.add_column(f"{METRICS[name].label} {'↑' if METRICS[name].higher_is_better else '↓'}", justify="right")
+    best = {name: _best(name, [values[name] for values in rows.values()]) for name in names}
+    for predictor, values in rows.items():
+        table.add_row(predictor, *(_cell(name, values[name], values[name] == best[name]) for name in names))
+    return table
 
 
 def _means(rows: Iterable[tuple[tuple, Values]]) -> dict[tuple, dict[str, float]]:
     grouped = defaultdict(list)
     for key, values in rows:
         grouped[key].append(values)
-    return {key: {name: math.fsum(v[name] for v in group) / len(group) for name in group[0]} for key, group in grouped.items()}
+    return {key: _mean(group) for key, group in grouped.items()}
+
+
+def _mean(group: Sequence[Values]) -> dict[str, float]:
+    return {name: sum(values[name] for values in group) / len(group) for name in group[0]}
 
 
 def _write(path: Path, key_names: Sequence[str], rows: Sequence[tuple[tuple, Values]]) -> Path:
@@ -101,10 +108,6 @@ def _write(path: Path, key_names: Sequence[str], rows: Sequence[tuple[tuple, Val
 def _best(name: str, values: Sequence[float]) -> float:
     finite = [value for value in values if not math.isnan(value)]
     return (max if METRICS[name].higher_is_better else min)(finite, default=math.nan)
-
-
-def _arrow(name: str) -> str:
-    return "↑" if METRICS[name].higher_is_better else "↓"
 
 
 def _cell(name: str, value: float, is_best: bool) -> Text:

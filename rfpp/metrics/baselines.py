@@ -22,7 +22,7 @@ class Baseline(ABC):
 
     name: str
 
-    def fit(self, samples: Iterable[tuple[Images, Images]]) -> Baseline:  # noqa: B027 (fitting is optional)
+    def fit(self, samples: Iterable[tuple[Images, Images]]) -> Baseline:
         """Learn from (albedo, linear radiance) pairs; returns self."""
         return self
 
@@ -67,7 +67,7 @@ class AlbedoTimesConstant(Baseline):
     The number minimises the mean |log10(1 + c a) - log10(1 + y)| over a regular subset of the training pixels.
     """
 
-    name = "albedo × constant"
+    name = "albedo x constant"
 
     #: Pixels read per image; a few thousand images give far more than one number needs.
     PIXELS_PER_IMAGE = 1024

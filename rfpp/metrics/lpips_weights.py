@@ -80,7 +80,9 @@ def trunk_weights(path: Path | str | None = None) -> dict[str, Tensor]:
             trunk = _verified(cached)
             return trunk if trunk is not None else _fetch(cached)
     except OSError as error:
-        raise UserError(f"{cached}: cannot be written ({error.strerror}): set XDG_CACHE_HOME to another place") from error
+        raise UserError(
+            f"{cached}: cannot be written ({error.strerror}): set XDG_CACHE_HOME to another place"
+        ) from error
 
 
 def linear_weights() -> list[Tensor]:

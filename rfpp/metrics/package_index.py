@@ -56,9 +56,14 @@ def download_sdist(name: str, version: str, sha256: str) -> bytes:
 def _pip_settings() -> dict[str, str]:
     """pip's options by name, from its files and the environment; empty where there is no pip."""
     listing = subprocess.run([sys.executable, "-m", "pip", "config", "list"], capture_output=True, text=True)
-    pairs = (line.split("=", 1) for line in listing.stdout.splitlines() if "=" in line)
-    # `global.x`, `install.x` and `:env:.x`, in rising precedence
-    return {key.rsplit(".", 1)[1]: ast.literal_eval(value) for key, value in pairs if "." in key}
+    return _parse_settings(listing.stdout)
+
+
+def _parse_settings(listing: str) -> dict[str, str]:
+    """Lines such as `global.index-url='…'`, of which the environment (`:env:`) has the last word."""
+    pairs = [line.split("=", 1) for line in listing.splitlines() if "=" in line]
+    pairs.sort(key=lambda pair: pair[0].startswith(":env:"))
+    return {key.rpartition(".")[2]: ast.literal_eval(value) for key, value in pairs}
 
 
 def _indexes(settings: dict[str, str]) -> list[str]:

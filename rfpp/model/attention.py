@@ -19,6 +19,8 @@ from rfpp.batch import Segments
 
 #: Key lengths within this ratio share a bucket: a wider one pads more, a narrower one launches more kernels.
 BUCKET_RATIO = 1.25
+#: Up to this many scores per head, plain matrix products beat PyTorch's fused kernel on a CPU, two to three times.
+SMALL_ATTENTION = 512 * 512
 
 
 class AttentionPattern:
@@ -151,10 +153,19 @@ def attend_bucketed(q: Tensor, k: Tensor, v: Tensor, pattern: AttentionPattern) 
     """Dense attention per bucket of similar key lengths."""
     qs, ks, vs = pattern.query_layout.pad(q), pattern.key_layout.pad(k), pattern.key_layout.pad(v)
     out = [
-        F.scaled_dot_product_attention(*qkv, attn_mask=mask)
-        for qkv, mask in zip(zip(qs, ks, vs, strict=True), pattern.key_masks, strict=True)
+        _attend_dense(*qkv, mask) for qkv, mask in zip(zip(qs, ks, vs, strict=True), pattern.key_masks, strict=True)
     ]
     return pattern.query_layout.unpad(out)
+
+
+def _attend_dense(q: Tensor, k: Tensor, v: Tensor, mask: Tensor | None) -> Tensor:
+    """[b, H, L, D] each; `mask` [b, 1, 1, Lk], True = real."""
+    if q.is_cuda or q.shape[-2] * k.shape[-2] > SMALL_ATTENTION:
+        return F.scaled_dot_product_attention(q, k, v, attn_mask=mask)
+    scores = (q * q.shape[-1] ** -0.5) @ k.transpose(-1, -2)
+    if mask is not None:
+        scores = scores.masked_fill(~mask, float("-inf"))
+    return scores.softmax(dim=-1) @ v
 
 
 def attend_varlen(q: Tensor, k: Tensor, v: Tensor, pattern: AttentionPattern) -> Tensor:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import torch
 import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
@@ -13,13 +14,39 @@ NORM_EPS = 1e-6
 
 
 class RMSNorm(nn.RMSNorm):
-    """RMS norm that keeps its input's dtype; a weight of another dtype would leave the fused kernel."""
+    """nn.RMSNorm, in half the time on a CPU, where PyTorch composes it of many small operations.
+
+    Keeps its input's dtype; the mean square is taken in float32.
+    """
 
     def __init__(self, width: int, eps: float | None = NORM_EPS):
         super().__init__(width, eps=eps)
 
-    def forward(self, x: Tensor) -> Tensor:
-        return F.rms_norm(x, self.normalized_shape, self.weight.to(x.dtype), self.eps)
+    def forward(self, x: Float[Tensor, "*rows width"]) -> Float[Tensor, "*rows width"]:
+        if x.is_cuda:
+            return F.rms_norm(x, self.normalized_shape, self.weight.to(x.dtype), self.eps)
+        eps = torch.finfo(x.dtype).eps if self.eps is None else self.eps
+        return _NormaliseRows.apply(x, self.weight.to(x.dtype), eps)
+
+
+class _NormaliseRows(torch.autograd.Function):
+    """x · w / √(mean x² + eps), with its derivative written out."""
+
+    @staticmethod
+    def forward(ctx, x: Tensor, weight: Tensor, eps: float) -> Tensor:
+        norm = torch.linalg.vector_norm(x, dim=-1, keepdim=True, dtype=torch.float32)
+        inverse = (norm.square() / x.shape[-1] + eps).rsqrt().to(x.dtype)
+        unit = x * inverse
+        ctx.save_for_backward(unit, inverse, weight)
+        return unit * weight
+
+    @staticmethod
+    def backward(ctx, grad: Tensor):
+        unit, inverse, weight = ctx.saved_tensors
+        along = grad * unit
+        mean = (along @ weight)[..., None] / unit.shape[-1]
+        grad_x = torch.addcmul(grad * weight, unit, mean, value=-1) * inverse
+        return grad_x, along.flatten(0, -2).sum(0), None
 
 
 class SelfAttention(nn.Module):
@@ -36,7 +63,7 @@ class SelfAttention(nn.Module):
     def forward(
         self, x: Float[Tensor, "n width"], pattern: AttentionPattern, rotation: Rotation | None
     ) -> Float[Tensor, "n width"]:
-        q, k, v = self.in_proj(x).chunk(3, dim=-1)
+        q, k, v = _linears(x, self.in_proj, 3)
         q = rotate(_split(self.q_norm(q), self.heads), rotation)
         k = rotate(_split(self.k_norm(k), self.heads), rotation)
         return self.out_proj(attend(q, k, _split(v, self.heads), pattern).flatten(1))
@@ -59,7 +86,7 @@ class CrossAttention(nn.Module):
 
     def project(self, context: Float[Tensor, "n width"]) -> tuple[Float[Tensor, "n h d"], Float[Tensor, "n h d"]]:
         """Unrotated keys and values of the context tokens."""
-        k, v = self.kv_proj(context).chunk(2, dim=-1)
+        k, v = _linears(context, self.kv_proj, 2)
         return _split(self.k_norm(k), self.heads), _split(v, self.heads)
 
     def forward(
@@ -76,7 +103,7 @@ class CrossAttention(nn.Module):
 
 
 class SwiGLU(nn.Module):
-    """W2(silu(W1 x) · W3 x), with W1 and W3 in one product."""
+    """W2(silu(W1 x) · W3 x), with W1 and W3 in one parameter."""
 
     def __init__(self, width: int, hidden: int):
         super().__init__()
@@ -84,7 +111,7 @@ class SwiGLU(nn.Module):
         self.out_proj = nn.Linear(hidden, width, bias=False)
 
     def forward(self, x: Float[Tensor, "n width"]) -> Float[Tensor, "n width"]:
-        gate, value = self.in_proj(x).chunk(2, dim=-1)
+        gate, value = _linears(x, self.in_proj, 2)
         return self.out_proj(F.silu(gate) * value)
 
 
@@ -126,3 +153,8 @@ class CrossBlock(nn.Module):
 
 def _split(x: Float[Tensor, "n width"], heads: int) -> Float[Tensor, "n h d"]:
     return x.unflatten(-1, (heads, -1))
+
+
+def _linears(x: Float[Tensor, "n width"], stacked: nn.Linear, parts: int) -> tuple[Tensor, ...]:
+    """The equal parts of a bias-free linear layer's output, each contiguous: slices of one would slow all that follows."""
+    return tuple(F.linear(x, weight) for weight in stacked.weight.chunk(parts))

@@ -178,7 +178,7 @@ def _configure(scene, settings: CyclesSettings, height: int, width: int) -> None
     cycles.light_sampling_threshold, cycles.use_light_tree = settings.light_threshold, True
     cycles.pixel_filter_type, cycles.filter_width = "BLACKMAN_HARRIS", settings.filter_width
     cycles.film_exposure = 1.0
-    cycles.seed, cycles.use_animated_seed = settings.seed, False
+    cycles.sampling_pattern, cycles.seed, cycles.use_animated_seed = "BLUE_NOISE", settings.seed, False
     scene.world = None  # black
 
 

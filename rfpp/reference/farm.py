@@ -61,8 +61,7 @@ class RenderFarm:
 
     def close(self) -> None:
         """Stop all workers, also busy ones."""
-        for slot in self._slots:
-            slot.stop()
+        _stop(self._slots)
 
     def map(
         self, job: Callable[[Item], Result], items: Iterable[Item], attempts: int = 2
@@ -109,9 +108,7 @@ class RenderFarm:
                     else:
                         done[task.index] = (task.item, result)
         finally:
-            for slot in self._slots:
-                if slot.task is not None:
-                    slot.stop()
+            _stop([slot for slot in self._slots if slot.task is not None])
 
 
 @dataclass(frozen=True)
@@ -157,12 +154,18 @@ class _Slot:
             self.stop()
         return task, result
 
+    def dismiss(self) -> None:
+        """Tell the worker to end; an idle one leaves by itself when it finds the connection closed."""
+        if self.process is not None:
+            self.connection.close()
+            if self.task is not None:
+                self.process.terminate()
+
     def stop(self) -> None:
+        """End the worker and wait for it."""
         if self.process is None:
             return
-        self.connection.close()  # an idle worker leaves by itself when it finds the connection closed
-        if self.task is not None:
-            self.process.terminate()
+        self.dismiss()
         self.process.join(timeout=5)
         if self.process.is_alive():
             self.process.kill()
@@ -176,6 +179,14 @@ class _Slot:
         with _running_on(self.cores):
             self.process.start()
         theirs.close()
+
+
+def _stop(slots: list[_Slot]) -> None:
+    """Tell all first, so that they end at the same time."""
+    for slot in slots:
+        slot.dismiss()
+    for slot in slots:
+        slot.stop()
 
 
 def _ready(slots: list[_Slot]) -> list[_Slot]:

@@ -33,7 +33,7 @@ class _ObjectEntry(Strict):
 
     mesh_path: Annotated[str, Field(min_length=1)]
     material: dict[str, Any]
-    transform: dict[str, Any] = {}
+    transform: dict[str, Any] = Field(default_factory=dict)
     remesh: bool = False
     remesh_target_face_num: Annotated[int, Field(ge=1)] = 2048
 

@@ -35,13 +35,13 @@ class OpenSide:
     def draw_position(
         self,
         rng: np.random.Generator,
-        target: Float[np.ndarray, "3"],
+        target: Float[np.ndarray, 3],
         distance: float,
         elevation: Interval,
         clearance: float,
         others: Float[np.ndarray, "count 3"],
         spacing: float,
-    ) -> Float[np.ndarray, "3"]:
+    ) -> Float[np.ndarray, 3]:
         """A position at `distance` from `target`, in a direction uniform over the part of the sphere that is allowed.
 
         Allowed are directions with an elevation (degrees above the horizon, seen from the target) in the interval

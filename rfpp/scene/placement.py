@@ -26,6 +26,7 @@ class Placement:
     Attributes:
         fill: share φ of the unit cube that N spheres of the base radius (3φ / 4πN)^(1/3) would fill.
         spread: standard deviation of the logarithm of an object's radius around it.
+        max_radius: upper bound of that radius, so that no object hides the whole scene.
         rotation: degrees about each axis.
         floating: the probability that an object floats above the floor instead of resting on it.
         gap: distance of a resting object's lowest vertex to the floor.
@@ -36,6 +37,7 @@ class Placement:
 
     fill: Interval
     spread: float
+    max_radius: float
     rotation: Interval
     floating: float
     gap: float
@@ -53,7 +55,7 @@ class Placement:
             SceneError: a mesh found no room however small.
         """
         base_radius = (3 * uniform(rng, self.fill) / (4 * np.pi * len(meshes))) ** (1 / 3)
-        radii = base_radius * np.exp(rng.normal(0.0, self.spread, len(meshes)))
+        radii = np.minimum(base_radius * np.exp(rng.normal(0.0, self.spread, len(meshes))), self.max_radius)
         boxes = np.empty((0, 2, 3))
         transforms: list[Transform | None] = [None] * len(meshes)
         for i in np.argsort(-radii, kind="stable"):

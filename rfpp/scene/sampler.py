@@ -45,6 +45,7 @@ class TriangleBudget:
             SceneError: the intervals contradict one another.
         """
         (low, high), (fewest, most), (smallest, largest) = self.scene, self.objects, self.per_object
+        smallest, largest = smallest + smallest % 2, largest - largest % 2
         low, high = max(low, taken + fewest * smallest), min(high, taken + most * largest)
         if low > high:
             raise SceneError(

@@ -151,7 +151,10 @@ def _make(
                         tally.one_more()
                 shard.present = writer.commit()
             except KeyboardInterrupt:
-                writer.commit()  # the next run copies what is there
+                if writer.is_open:  # the next run takes over what is there
+                    for key in sorted(shard.entries.keys() - writer.keys):
+                        _copy(root, shard, key, writer)
+                    writer.commit()
                 raise
             finally:
                 writer.discard()

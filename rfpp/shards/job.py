@@ -11,9 +11,10 @@ import numpy as np
 
 from rfpp.errors import SceneError, UserError
 from rfpp.gbuffer.first_hit import GBuffer, camera_caster, first_hit
+from rfpp.gbuffer.raycast import RayCaster
 from rfpp.reference.cycles import CyclesSettings
 from rfpp.scene.camera import camera_to_world
-from rfpp.scene.spec import Scene
+from rfpp.scene.spec import Camera, Scene
 from rfpp.scene.triangles import SceneTriangles
 from rfpp.shards.sample import SceneSample, encode
 from rfpp.shards.tar import pack
@@ -40,12 +41,13 @@ class DatasetSettings:
         seed: non-negative; with split and index it determines every scene.
         resolution: images are square, this many pixels wide.
         views: cameras per scene.
-        splits: scenes in "train", "train_newviews" (the first training scenes again, other cameras) and "test".
+        splits: scenes in each split of `SPLIT_CODES`; "train_newviews" are the first training scenes, other cameras.
         scenes_per_shard: scenes in one tar.
         workers: render processes; 0 is one per core.
-        min_coverage: a view that sees surfaces in less than this share of its pixels has its cameras redrawn.
+        min_coverage: a camera that sees surfaces in less than this share of its pixels is redrawn.
         min_radiance: a scene whose images are darker than this in the mean is drawn anew.
-        camera_attempts, scene_attempts: how often, before the scene counts as failed.
+        camera_attempts: draws of a camera, before its scene is drawn anew.
+        scene_attempts: draws of a scene, before it counts as failed.
     """
 
     name: str
@@ -71,6 +73,8 @@ class DatasetSettings:
             raise UserError(f"data.min_coverage is {self.min_coverage}: use 0 to 1")
         if unknown := set(self.splits) - set(SPLIT_CODES):
             raise UserError(f"data.splits.{min(unknown)} does not exist: choose from {', '.join(SPLIT_CODES)}")
+        if negative := [split for split, count in self.splits.items() if count < 0]:
+            raise UserError(f"data.splits.{negative[0]} is {self.splits[negative[0]]}: use 0 or more")
         if self.splits.get("train_newviews", 0) > self.splits.get("train", 0):
             raise UserError("data.splits.train_newviews is larger than data.splits.train, whose scenes it shows")
 
@@ -128,42 +132,65 @@ class SceneJob:
     render: Callable[..., np.ndarray]
 
     def __call__(self, task: SceneTask) -> MadeScene:
-        """Draw until cameras see enough and the images are lit. Raises SceneError when the attempts run out."""
+        """Draw until cameras see enough and the images are lit. Raises SceneError when the attempts run out.
+
+        A pinned scene was accepted before: what its new cameras see counts, its brightness does not.
+        """
         pinned = task.scene_attempt is not None
         camera_redraws = 0
-        for scene_attempt in [task.scene_attempt] if pinned else range(self.data.scene_attempts):
-            for camera_attempt in range(self.data.camera_attempts):
-                scene = self._draw(task, scene_attempt, camera_attempt)
-                triangles = SceneTriangles.from_scene(scene)
-                c2w = np.stack([camera_to_world(camera) for camera in scene.cameras])
-                fov = np.array([camera.fov for camera in scene.cameras], np.float32)
-                gbuffers = self._first_hits(triangles, c2w, fov)
-                if min(buffer.hit.mean() for buffer in gbuffers) >= self.data.min_coverage:
-                    images = self._render(task, scene_attempt, triangles, c2w, fov)
-                    if images.mean() >= self.data.min_radiance or not np.isfinite(images).all():
-                        redraws = {"scene": scene_attempt, "cameras": camera_redraws}
-                        meta = self._meta(task, scene, redraws)
-                        return _packed(SceneSample(task.key, triangles, c2w, fov, images, gbuffers, meta), redraws)
-                    if not pinned:
-                        break  # unlit: other cameras would hardly help
-                camera_redraws += 1
+        for attempt in [task.scene_attempt] if pinned else range(self.data.scene_attempts):
+            scene, gbuffers, rejected = self._draw(task, attempt)
+            camera_redraws += rejected
+            if len(gbuffers) < self.data.views:
+                continue
+            triangles = SceneTriangles.from_scene(scene)
+            c2w = np.stack([camera_to_world(camera) for camera in scene.cameras])
+            fov = np.array([camera.fov for camera in scene.cameras], np.float32)
+            images = self._render(task, attempt, triangles, c2w, fov)
+            if pinned or not images.mean() < self.data.min_radiance:  # NaN goes on, to be reported by `encode`
+                redraws = {"scene": attempt, "cameras": camera_redraws}
+                sample = SceneSample(task.key, triangles, c2w, fov, images, gbuffers, self._meta(task, scene, redraws))
+                return _packed(sample, redraws)
         raise SceneError(
             f"{task.key}: no acceptable views in {self.data.scene_attempts} scenes x {self.data.camera_attempts} "
-            "camera sets: lower data.min_coverage or data.min_radiance, or allow more attempts"
+            "camera draws: lower data.min_coverage or data.min_radiance, or allow more attempts"
         )
 
-    def _draw(self, task: SceneTask, scene_attempt: int, camera_attempt: int) -> Scene:
+    def _draw(self, task: SceneTask, attempt: int) -> tuple[Scene, tuple[GBuffer, ...], int]:
+        """A scene whose cameras were each redrawn until they see enough, what they see, and the number of redraws.
+
+        There are fewer G-buffers than views if a camera ran out of attempts.
+        """
+        accepted: dict[int, tuple[Camera, GBuffer]] = {}
+        drawn = 0
+        for camera_attempt in range(self.data.camera_attempts):
+            scene = self._sample(task, attempt, camera_attempt)
+            if camera_attempt == 0:
+                triangles = SceneTriangles.from_scene(scene)
+                caster = camera_caster(triangles)
+            for view, camera in enumerate(scene.cameras):
+                if view not in accepted:
+                    drawn += 1
+                    gbuffer = self._first_hit(triangles, camera, caster)
+                    if gbuffer.hit.mean() >= self.data.min_coverage:
+                        accepted[view] = camera, gbuffer
+            if len(accepted) == self.data.views:
+                break
+        cameras, gbuffers = zip(*(accepted[view] for view in sorted(accepted)), strict=True) if accepted else ((), ())
+        return scene.model_copy(update={"cameras": cameras}), gbuffers, drawn - len(accepted)
+
+    def _sample(self, task: SceneTask, attempt: int, camera_attempt: int) -> Scene:
         scene = self.family.sample(
-            np.random.default_rng(self._seed(task.scene_split, task.index, "scene", scene_attempt)),
-            np.random.default_rng(self._seed(task.split, task.index, "cameras", scene_attempt, camera_attempt)),
+            np.random.default_rng(self._seed(task.scene_split, task.index, "scene", attempt)),
+            np.random.default_rng(self._seed(task.split, task.index, "cameras", attempt, camera_attempt)),
         )
         if len(scene.cameras) != self.data.views:
             raise UserError(f"the scene family draws {len(scene.cameras)} cameras, data.views is {self.data.views}")
         return scene
 
-    def _first_hits(self, triangles: SceneTriangles, c2w: np.ndarray, fov: np.ndarray) -> tuple[GBuffer, ...]:
-        caster, side = camera_caster(triangles), self.data.resolution
-        return tuple(first_hit(triangles, pose, float(f), side, side, caster) for pose, f in zip(c2w, fov, strict=True))
+    def _first_hit(self, triangles: SceneTriangles, camera: Camera, caster: RayCaster) -> GBuffer:
+        side = self.data.resolution
+        return first_hit(triangles, camera_to_world(camera), camera.fov, side, side, caster)
 
     def _render(
         self, task: SceneTask, attempt: int, triangles: SceneTriangles, c2w: np.ndarray, fov: np.ndarray

@@ -20,7 +20,7 @@ REMEDY = "run launch/generate.py again with the same experiment"
 class SampleEntry(NamedTuple):
     """Where one sample lies in its tar, what its bytes hash to, and what it holds.
 
-    `scene_redraws` counts scenes that were drawn and rejected before this one, `camera_redraws` camera sets.
+    `scene_redraws` counts scenes that were drawn and rejected before this one, `camera_redraws` cameras.
     """
 
     key: str

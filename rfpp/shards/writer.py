@@ -36,8 +36,14 @@ class ShardWriter:
         self._digest = hashlib.sha256()
         self._size = 0
         self._samples: list[SampleEntry] = []
+        self.is_open = True  # until it is committed or discarded
         with self._reporting_full_disk():
             self._file = self._partial.open("wb")
+
+    @property
+    def keys(self) -> set[str]:
+        """Of the samples added so far."""
+        return {entry.key for entry in self._samples}
 
     def add(
         self, key: str, blocks: bytes, *, triangles: int, objects: int, scene_redraws: int, camera_redraws: int
@@ -50,6 +56,7 @@ class ShardWriter:
 
     def commit(self) -> Shard:
         """Finish the tar, put it in place, then its index."""
+        self.is_open = False
         self._append(END_OF_ARCHIVE)
         index = index_path(self._root, self._name)
         with self._reporting_full_disk():
@@ -64,6 +71,7 @@ class ShardWriter:
 
     def discard(self) -> None:
         """Leave nothing of an unfinished shard behind."""
+        self.is_open = False
         with suppress(OSError):  # on a full disk even closing fails
             self._file.close()
         self._partial.unlink(missing_ok=True)

@@ -76,15 +76,15 @@ class RenderingModule(L.LightningModule):
             "lr_scheduler": {"scheduler": self._schedule(optimizer), "interval": "step", "name": "learning_rate"},
         }
 
-    def on_before_optimizer_step(self, optimizer: Optimizer) -> None:
-        norms = [p.grad.norm() for p in self.network.parameters() if p.grad is not None]
-        self.log("train/gradient_norm", torch.stack(norms).norm())
+    def configure_gradient_clipping(
+        self, optimizer: Optimizer, gradient_clip_val: float | None = None, gradient_clip_algorithm: str | None = None
+    ) -> None:
+        """Clip by the global norm. Lightning's own refuses fused optimizers, for a scaler that bfloat16 has not."""
+        norm = torch.nn.utils.clip_grad_norm_(self.network.parameters(), gradient_clip_val or float("inf"))
+        self.log("train/gradient_norm", norm)
 
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
         checkpoint[CHECKPOINT_KEY] = self.info.to_dict()
-
-    def transfer_batch_to_device(self, batch: RaggedBatch, device: torch.device, _: int) -> RaggedBatch:
-        return batch.to(device, non_blocking=True)
 
 
 def decay_groups(network: nn.Module) -> list[dict]:

@@ -8,17 +8,13 @@ from pathlib import Path
 from omegaconf import DictConfig, OmegaConf
 from torch import nn
 
+from rfpp.scene.files import write_atomically
 from rfpp.training.datamodule import SceneDataModule
 
 
-def write_config(cfg: DictConfig, folder: Path) -> Path:
-    """`config.yaml` with every value resolved, written atomically; returns its path."""
-    folder.mkdir(parents=True, exist_ok=True)
-    path = folder / "config.yaml"
-    temporary = path.with_suffix(".tmp")
-    temporary.write_text(OmegaConf.to_yaml(cfg, resolve=True))
-    os.replace(temporary, path)
-    return path
+def write_config(cfg: DictConfig, folder: Path, name: str = "config.yaml") -> Path:
+    """Write the config with every value resolved into `folder`, atomically; returns the file's path."""
+    return write_atomically(folder / name, OmegaConf.to_yaml(cfg, resolve=True).encode())
 
 
 def point_latest_at(run_dir: Path) -> None:

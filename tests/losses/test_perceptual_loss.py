@@ -1,23 +1,19 @@
 import pytest
 import torch
+from random_vgg import random_trunk
 from torch import nn
 
 from rfpp.losses import perceptual as perceptual_module
 from rfpp.losses.perceptual import PerceptualLoss
 from rfpp.metrics.image import ImageMetrics
 from rfpp.metrics.lpips import LPIPS
-from rfpp.metrics.lpips_weights import CONV_CHANNELS, linear_weights
+from rfpp.metrics.lpips_weights import linear_weights
 from rfpp.radiance import log_decode, log_encode
 
 
 @pytest.fixture(scope="module")
 def lpips() -> LPIPS:
-    generator = torch.Generator().manual_seed(0)
-    trunk = {}
-    for name, (inputs, outputs) in CONV_CHANNELS.items():
-        trunk[f"{name}.weight"] = (2 / (9 * inputs)) ** 0.5 * torch.randn(outputs, inputs, 3, 3, generator=generator)
-        trunk[f"{name}.bias"] = torch.zeros(outputs)
-    return LPIPS(trunk, linear_weights())
+    return LPIPS(random_trunk(), linear_weights())
 
 
 @pytest.fixture

@@ -61,7 +61,7 @@ def _assert_equal(a: dict, b: dict) -> None:
 
 
 def test_without_any_source_one_line_says_how_to_go_on(empty_machine) -> None:
-    with pytest.raises(MissingDependencyError, match="loss.lpips_weight=0") as error:
+    with pytest.raises(MissingDependencyError, match=r"loss\.lpips_weight=0") as error:
         lpips_weights.trunk_weights()
     assert "\n" not in str(error.value)
 
@@ -106,7 +106,7 @@ def test_a_bad_configured_file_is_named(empty_machine, content) -> None:
     path = empty_machine / "mine.pth"
     if content is not None:
         path.write_bytes(content)
-    with pytest.raises(MissingDependencyError, match="mine.pth") as error:
+    with pytest.raises(MissingDependencyError, match=r"mine\.pth") as error:
         lpips_weights.trunk_weights(path)
     assert "\n" not in str(error.value)
 
@@ -114,7 +114,7 @@ def test_a_bad_configured_file_is_named(empty_machine, content) -> None:
 def test_another_network_is_refused(empty_machine) -> None:
     path = empty_machine / "other.safetensors"
     save_file({"features.0.weight": torch.zeros(64, 3, 11, 11)}, path)
-    with pytest.raises(MissingDependencyError, match="features.0.weight"):
+    with pytest.raises(MissingDependencyError, match=r"features\.0\.weight"):
         lpips_weights.trunk_weights(path)
 
 

@@ -40,14 +40,14 @@ def test_a_wrong_hash_is_refused(web) -> None:
 
 
 def test_an_absent_version_is_said_without_the_password(web) -> None:
-    with pytest.raises(PackageIndexError, match="index.example has no my_pkg-9.tar.gz") as error:
+    with pytest.raises(PackageIndexError, match=r"index\.example has no my_pkg-9\.tar\.gz") as error:
         download_sdist("my_pkg", "9", SHA256)
     assert "secret" not in str(error.value)
 
 
 def test_an_unreachable_index_is_named(web) -> None:
     web.clear()
-    with pytest.raises(PackageIndexError, match="index.example: 404"):
+    with pytest.raises(PackageIndexError, match=r"index\.example: 404"):
         download_sdist("my_pkg", "1.0", SHA256)
 
 
@@ -58,3 +58,12 @@ def test_the_next_index_is_asked(web, monkeypatch) -> None:
     }
     monkeypatch.setattr(package_index, "_pip_settings", lambda: settings)
     assert download_sdist("my_pkg", "1.0", SHA256) == CONTENT
+
+
+def test_the_environment_outranks_pips_files() -> None:
+    listing = ":env:.index-url='https://env.example'\nglobal.cert='/ca.pem'\nglobal.index-url='https://file.example'\n"
+    assert package_index._parse_settings(listing) == {"index-url": "https://env.example", "cert": "/ca.pem"}
+
+
+def test_without_pip_the_public_index_is_asked() -> None:
+    assert package_index._indexes(package_index._parse_settings("")) == [package_index.PUBLIC_INDEX]

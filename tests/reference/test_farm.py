@@ -88,7 +88,8 @@ def test_a_single_worker_gets_all_cores():
 def test_workers_are_recycled():
     with RenderFarm(1, jobs_per_worker=2) as farm:
         ids = [pid for _, pid in farm.map(process_id, range(5))]
-    assert len(set(ids)) == 3 and os.getpid() not in ids
+    assert len(set(ids)) == 3
+    assert os.getpid() not in ids
 
 
 def test_a_job_that_fails_once_is_tried_again(tmp_path):
@@ -104,21 +105,24 @@ def test_a_worker_that_is_killed_is_replaced_and_its_item_tried_again(tmp_path):
 def test_an_item_that_always_kills_its_worker_is_an_error_with_the_signal():
     with RenderFarm(1) as farm:
         [(_, result)] = farm.map(always_die, [0])
-    assert isinstance(result, WorkerDeathError) and "-9" in str(result)
+    assert isinstance(result, WorkerDeathError)
+    assert "-9" in str(result)
 
 
 def test_a_user_error_is_final_and_keeps_its_type(tmp_path):
     tries = tmp_path / "tries"
     with RenderFarm(1) as farm:
         [(_, result)] = farm.map(bad_scene, [str(tries)])
-    assert isinstance(result, SceneError) and str(result) == "the mesh has no faces"
+    assert isinstance(result, SceneError)
+    assert str(result) == "the mesh has no faces"
     assert tries.read_text() == "tried\n"
 
 
 def test_an_unpicklable_exception_arrives_with_its_message_and_traceback():
     with RenderFarm(1) as farm:
         [(_, result)] = farm.map(raise_unpicklable, [0])
-    assert "this and that" in str(result) and "raise_unpicklable" in result.__notes__[0]
+    assert "this and that" in str(result)
+    assert "raise_unpicklable" in result.__notes__[0]
 
 
 def test_a_negative_worker_count_is_refused():

@@ -30,7 +30,8 @@ def world(background):
 @pytest.mark.parametrize("panel", PANELS)
 def test_a_panel_is_a_square_of_128_triangles_that_faces_inside(panel):
     mesh = panel_mesh(panel)
-    assert len(mesh) == 128 and len(mesh.vertices) == 81
+    assert len(mesh) == 128
+    assert len(mesh.vertices) == 81
     twice_area = np.cross(mesh.corners[:, 1] - mesh.corners[:, 0], mesh.corners[:, 2] - mesh.corners[:, 0])
     assert np.allclose(twice_area, np.array(PANELS[panel]) * 4 / 64)
 

@@ -40,7 +40,7 @@ def test_up_rolls_the_camera() -> None:
     assert in_camera((0.5, 0, 0), rolled)[1] == pytest.approx(0.5, abs=1e-6)
 
 
-@pytest.mark.parametrize("height, width", [(4, 4), (4, 8), (8, 4), (1, 1), (5, 3)])
+@pytest.mark.parametrize(("height", "width"), [(4, 4), (4, 8), (8, 4), (1, 1), (5, 3)])
 def test_the_longer_side_spans_minus_one_to_one(height: int, width: int) -> None:
     plane = pixel_plane(height, width)
     pixel = 2 / max(height, width)
@@ -56,7 +56,7 @@ def test_row_zero_is_the_top_and_column_zero_the_left() -> None:
     np.testing.assert_allclose(plane[3, 3], [0.75, -0.75])
 
 
-@pytest.mark.parametrize("height, width", [(6, 6), (6, 10), (10, 6)])
+@pytest.mark.parametrize(("height", "width"), [(6, 6), (6, 10), (10, 6)])
 def test_rays_go_through_the_pixels_they_belong_to(height: int, width: int) -> None:
     c2w = camera_to_world(CAMERA)
     origins, directions = pixel_rays(c2w, CAMERA.fov, height, width)

@@ -21,7 +21,8 @@ class Sampler:
 def test_any_sequence_becomes_a_tuple_and_other_fields_stay():
     other = [3, 1]
     sampler = Sampler([1, 2.5], other)
-    assert sampler.size == (1, 2.5) and sampler.other is other
+    assert sampler.size == (1, 2.5)
+    assert sampler.other is other
 
 
 @pytest.mark.parametrize("bad", [[2, 1], [1], [1, 2, 3], [float("nan"), 1]])
@@ -37,5 +38,7 @@ def test_integers_include_both_ends():
 
 def test_uniform_covers_its_interval():
     draws = uniform(np.random.default_rng(0), (-2, 6), 4000)
-    assert draws.min() > -2 and draws.max() < 6
-    assert draws.mean() == pytest.approx(2, abs=0.15) and draws.std() == pytest.approx(8 / 12**0.5, abs=0.1)
+    assert draws.min() > -2
+    assert draws.max() < 6
+    assert draws.mean() == pytest.approx(2, abs=0.15)
+    assert draws.std() == pytest.approx(8 / 12**0.5, abs=0.1)

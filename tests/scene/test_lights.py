@@ -19,7 +19,9 @@ def drawn():
 
 def test_one_to_eight_lights_all_counts_equally_often(drawn):
     counts = np.bincount([len(lights) for _, lights in drawn], minlength=9)
-    assert counts[0] == 0 and len(counts) == 9 and counts[1:].min() > 25
+    assert counts[0] == 0
+    assert len(counts) == 9
+    assert counts[1:].min() > 25
 
 
 def test_each_light_is_the_published_triangle(drawn):
@@ -32,7 +34,8 @@ def test_each_light_is_the_published_triangle(drawn):
             assert not light.transform.normalize
             assert all(2 <= s <= 2.5 for s in light.transform.scale)
             assert np.abs(light.transform.rotation).max() <= 180
-            assert light.material.diffuse == (1, 1, 1) and light.material.specular == (0, 0, 0)
+            assert light.material.diffuse == (1, 1, 1)
+            assert light.material.specular == (0, 0, 0)
 
 
 def test_the_strengths_add_up_to_one_light(drawn):
@@ -40,7 +43,8 @@ def test_the_strengths_add_up_to_one_light(drawn):
         emitted = np.array([light.material.emissive for light in lights])
         assert (emitted == emitted[:, :1]).all()  # white
         assert 2500 - 1e-6 <= emitted[:, 0].sum() <= 5000 + 1e-6
-        assert (emitted * len(lights) >= 2500 - 1e-6).all() and (emitted * len(lights) <= 5000 + 1e-6).all()
+        assert (emitted * len(lights) >= 2500 - 1e-6).all()
+        assert (emitted * len(lights) <= 5000 + 1e-6).all()
 
 
 def test_lights_are_apart_and_at_the_published_distance(drawn):
@@ -50,7 +54,8 @@ def test_lights_are_apart_and_at_the_published_distance(drawn):
             assert np.linalg.norm(a - b) > 0.3
         # The target is within ±0.2 per axis of the centre.
         distance = np.linalg.norm(positions, axis=1)
-        assert (distance >= 2.1 - 0.2 * 3**0.5).all() and (distance <= 2.7 + 0.2 * 3**0.5).all()
+        assert (distance >= 2.1 - 0.2 * 3**0.5).all()
+        assert (distance <= 2.7 + 0.2 * 3**0.5).all()
 
 
 def test_every_corner_of_a_light_is_in_front_of_the_background(drawn):

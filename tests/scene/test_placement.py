@@ -20,9 +20,7 @@ def world_vertices(scene, kind):
     """[vertices of each object of a kind], in world space."""
     triangles = SceneTriangles.from_scene(scene)
     corners = np.split(triangles.positions, triangles.object_offsets[1:-1])
-    return [
-        c.reshape(-1, 3) for c, name in zip(corners, triangles.object_names, strict=True) if name.startswith(kind)
-    ]
+    return [c.reshape(-1, 3) for c, name in zip(corners, triangles.object_names, strict=True) if name.startswith(kind)]
 
 
 def planes(scene):
@@ -83,7 +81,8 @@ def test_crowds_shrink_until_they_fit():
     grounded = replace(PLACEMENT, floating=0.0)
     transforms = grounded.sample(np.random.default_rng(1), [mesh] * 80, FLOOR)
     scales = np.array([t.scale[0] for t in transforms])
-    assert scales.min() > 0.02 and scales.mean() < 2 * (3 * 0.2 / (4 * np.pi * 80)) ** (1 / 3)
+    assert scales.min() > 0.02
+    assert scales.mean() < 2 * (3 * 0.2 / (4 * np.pi * 80)) ** (1 / 3)
 
 
 def test_where_there_is_no_room_one_line_says_so():

@@ -46,6 +46,8 @@ def test_triangles_stay_well_shaped_and_of_similar_size():
 def test_a_mesh_that_is_fine_enough_is_left_alone_and_inputs_are_not_changed():
     before = TETRAHEDRON.vertices.copy(), TETRAHEDRON.faces.copy()
     same = refined(TETRAHEDRON, 3)
-    assert (same.vertices == before[0]).all() and (same.faces == before[1]).all()
+    assert (same.vertices == before[0]).all()
+    assert (same.faces == before[1]).all()
     refined(TETRAHEDRON, 100)
-    assert (TETRAHEDRON.vertices == before[0]).all() and (TETRAHEDRON.faces == before[1]).all()
+    assert (TETRAHEDRON.vertices == before[0]).all()
+    assert (TETRAHEDRON.faces == before[1]).all()

@@ -14,7 +14,7 @@ from rfpp.scene.triangles import DIFFUSE, EMISSION, ROUGHNESS, SPECULAR, SceneTr
 MATERIAL = Material(diffuse=(0.5, 0.4, 0.3), specular=(0.1, 0.1, 0.1), roughness=0.7)
 SPHERE = trimesh.creation.icosphere(2)
 SPHERE = Mesh(SPHERE.vertices, SPHERE.faces)
-CORNER = Mesh([[1, 0, 0], [0, 1, 0], [0, 0, 1]], [[0, 1, 2]])
+CORNER = Mesh(np.eye(3), np.array([[0, 1, 2]]))
 AS_IS = {"normalize": False}
 
 
@@ -31,12 +31,11 @@ def outward(triangles: SceneTriangles) -> np.ndarray:
 
 
 def test_rotation_is_about_world_x_then_y_then_z() -> None:
-    np.testing.assert_allclose(rotation_matrix((90, 0, 0)) @ [0, 1, 0], [0, 0, 1], atol=1e-12)
-    np.testing.assert_allclose(rotation_matrix((0, 90, 0)) @ [0, 0, 1], [1, 0, 0], atol=1e-12)
-    np.testing.assert_allclose(rotation_matrix((0, 0, 90)) @ [1, 0, 0], [0, 1, 0], atol=1e-12)
-    # y goes to z by x, to x by y, to y by z; any other order ends elsewhere.
-    np.testing.assert_allclose(rotation_matrix((90, 90, 90)) @ [0, 1, 0], [0, 1, 0], atol=1e-12)
-    np.testing.assert_allclose(rotation_matrix((90, 90, 0)) @ [0, 1, 0], [1, 0, 0], atol=1e-12)
+    np.testing.assert_allclose(rotation_matrix((90.0, 0.0, 0.0)) @ [0, 1, 0], [0, 0, 1], atol=1e-12)
+    np.testing.assert_allclose(rotation_matrix((0.0, 90.0, 0.0)) @ [0, 0, 1], [1, 0, 0], atol=1e-12)
+    np.testing.assert_allclose(rotation_matrix((0.0, 0.0, 90.0)) @ [1, 0, 0], [0, 1, 0], atol=1e-12)
+    # x turns +y to +z, y turns that to +x, z turns that to +y; in any other order it ends elsewhere.
+    np.testing.assert_allclose(rotation_matrix((90.0, 90.0, 90.0)) @ [0, 1, 0], [0, 1, 0], atol=1e-12)
 
 
 def test_rotation_then_scale_then_translation() -> None:
@@ -76,7 +75,8 @@ def test_objects_stay_apart_in_order() -> None:
         )
     )
     packed = SceneTriangles.from_scene(scene)
-    assert packed.object_names == ("ball", "light") and packed.num_objects == 2
+    assert packed.object_names == ("ball", "light")
+    assert packed.num_objects == 2
     np.testing.assert_array_equal(packed.object_offsets, [0, len(SPHERE), len(SPHERE) + 1])
     np.testing.assert_array_equal(packed.object_index, [0] * len(SPHERE) + [1])
     np.testing.assert_array_equal(packed.is_emissive, packed.object_index == 1)
@@ -110,7 +110,8 @@ def test_random_colours_are_eight_bit_below_their_maximum_and_repeatable() -> No
     np.testing.assert_array_equal(colours, coloured(seed=0))
     assert not np.array_equal(colours, coloured(seed=1))
     np.testing.assert_allclose(colours * 255, np.round(colours * 255), atol=1e-4)
-    assert colours.max() * 255 < 256 * 0.4 and len(np.unique(colours, axis=0)) == 48
+    assert colours.max() * 255 < 256 * 0.4
+    assert len(np.unique(colours, axis=0)) == 48
     assert (coloured(seed=0, top=0.0) == 0).all()
 
 

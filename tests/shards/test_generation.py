@@ -18,7 +18,7 @@ from small_data import REFERENCE, SETTINGS, BoxFamily, Constant, Interrupting, N
 from rfpp.errors import MissingDependencyError, ShardError, UserError
 from rfpp.shards import writer
 from rfpp.shards.generation import generate
-from rfpp.shards.manifest import Manifest
+from rfpp.shards.manifest import Manifest, Shard
 from rfpp.shards.stream import ShardSplit
 
 
@@ -46,10 +46,12 @@ def hashes(root: Path) -> dict[str, str]:
 def test_counts_files_and_keys(finished):
     assert [len(shard.samples) for shard in finished.shards("train")] == [2, 2, 1]
     assert [entry.key for entry in finished.samples("test")] == ["test-000000", "test-000001"]
-    assert finished.counts["scenes"] == 10 and finished.counts["images"] == 20
+    assert finished.counts["scenes"] == 10
+    assert finished.counts["images"] == 20
     assert finished.counts["triangles"] == 10 * 7
     assert finished.counts["bytes"] == sum(path.stat().st_size for path in finished.root.glob("*.tar"))
-    assert finished.settings["data"]["resolution"] == 8 and finished.settings["scene"] == "boxes"
+    assert finished.settings["data"]["resolution"] == 8
+    assert finished.settings["scene"] == "boxes"
     assert not list(finished.root.glob(".*"))
 
 
@@ -74,9 +76,10 @@ def test_noise_differs_between_samples(finished):
 def test_the_same_command_again_does_nothing(copied, finished):
     before = {path.name: path.stat().st_mtime_ns for path in copied.iterdir()}
     calls = []
-    again = make(copied, render=None, progress=lambda *counts: calls.append(counts))
+    again = make(copied, render=Constant(np.nan), progress=lambda *counts: calls.append(counts))
     assert {path.name: path.stat().st_mtime_ns for path in copied.iterdir()} == before
-    assert again.hash == finished.hash and calls == [(10, 10)]
+    assert again.hash == finished.hash
+    assert calls == [(10, 10)]
 
 
 @pytest.mark.parametrize("workers", [1, 3])
@@ -90,7 +93,28 @@ def test_resumption_gives_what_an_uninterrupted_run_gives(tmp_path, finished, co
     manifest = make(tmp_path, progress=lambda done, total: resumed.append(done), workers=workers)
     assert resumed[0] == count
     assert (tmp_path / "train-00000.tar").stat().st_mtime_ns == first.st_mtime_ns
-    assert hashes(tmp_path) == hashes(finished.root) and manifest.hash == finished.hash
+    assert hashes(tmp_path) == hashes(finished.root)
+    assert manifest.hash == finished.hash
+
+
+def test_a_second_interruption_loses_nothing_of_the_first(tmp_path, finished):
+    flag = tmp_path / "flag"
+    flag.touch()
+    failing = Interrupting(flag, below=0.3)
+    root = tmp_path / "data"
+    with pytest.raises(ShardError):
+        make(root, render=failing, scenes_per_shard=5, splits={"train": 5})
+    kept = {entry.key for entry in Shard.from_json(json.loads((root / "train-00000.json").read_text())).samples}
+    assert 0 < len(kept) < 5
+    flag.unlink()
+    with pytest.raises(KeyboardInterrupt):
+        make(root, scenes_per_shard=5, splits={"train": 5}, progress=InterruptAfter(len(kept) + 1))
+    done = []
+    manifest = make(root, scenes_per_shard=5, splits={"train": 5}, progress=lambda n, _: done.append(n))
+    assert done[0] == len(kept) + 1
+    assert [entry.key for entry in manifest.samples("train")] == [f"train-00000{i}" for i in range(5)]
+    for ours, theirs in zip(scenes(manifest, "train"), scenes(finished, "train"), strict=True):
+        np.testing.assert_array_equal(ours.images, theirs.images)
 
 
 def test_kill_and_rerun_gives_identical_hashes(tmp_path, finished):
@@ -98,7 +122,7 @@ def test_kill_and_rerun_gives_identical_hashes(tmp_path, finished):
     command = f"from pathlib import Path; from small_data import make; make(Path({str(root)!r}))"
     script = tmp_path / "run.py"
     script.write_text(f"if __name__ == '__main__':\n    {command}\n")
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(Path(__file__).parent), *sys.path])}
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([*sys.path])}
     run = subprocess.Popen([sys.executable, script], env=environment, start_new_session=True)
     deadline = time.monotonic() + 60
     while not (root / "train-00000.tar").exists() and time.monotonic() < deadline:
@@ -133,7 +157,9 @@ def test_failing_scenes_are_listed_and_the_rest_is_kept(tmp_path, finished):
     with pytest.raises(ShardError, match=rf"{expected} of 10 scenes failed.*seed 7.*the renderer fell over"):
         make(root, render=renderer)
     listed = json.loads((root / "failures.json").read_text())
-    assert len(listed) == expected and "__call__" in listed[0]["traceback"] and listed[0]["seed"] == 7
+    assert len(listed) == expected
+    assert "__call__" in listed[0]["traceback"]
+    assert listed[0]["seed"] == 7
     flag.unlink()
     calls = []
     assert make(root, render=renderer, progress=lambda done, total: calls.append(done)).hash == finished.hash
@@ -143,30 +169,33 @@ def test_failing_scenes_are_listed_and_the_rest_is_kept(tmp_path, finished):
 
 def test_cameras_that_see_too_little_are_redrawn_and_counted(tmp_path):
     manifest = make(tmp_path, BoxFamily(looks_away=0.5))
-    assert manifest.counts["camera_redraws"] > 0 and manifest.counts["scene_redraws"] == 0
+    assert manifest.counts["camera_redraws"] > 0
+    assert manifest.counts["scene_redraws"] == 0
     for split in manifest.splits:
         for sample, entry in zip(scenes(manifest, split), manifest.samples(split), strict=True):
             assert min(gbuffer.hit.mean() for gbuffer in sample.gbuffers) >= 0.4
+            assert not np.allclose(sample.c2w[0], sample.c2w[1])
             assert sample.meta["redraws"] == {"scene": entry.scene_redraws, "cameras": entry.camera_redraws}
 
 
 def test_unlit_scenes_are_drawn_anew_and_new_views_follow(tmp_path):
     manifest = make(tmp_path, render=Nighttime(below=0.4))
     train, newviews = scenes(manifest, "train"), scenes(manifest, "train_newviews")
-    assert manifest.counts["scene_redraws"] > 0 and any(e.scene_redraws for e in manifest.samples("train_newviews"))
+    assert manifest.counts["scene_redraws"] > 0
+    assert any(e.scene_redraws for e in manifest.samples("train_newviews"))
     assert all(sample.images.mean() > 0.01 for sample in train + newviews)
     for seen, again in zip(train[:3], newviews, strict=True):
         np.testing.assert_array_equal(seen.triangles.positions, again.triangles.positions)
 
 
-@pytest.mark.parametrize("family, render", [(BoxFamily(looks_away=1.0), invented), (BoxFamily(), Constant(0.0))])
+@pytest.mark.parametrize(("family", "render"), [(BoxFamily(looks_away=1.0), invented), (BoxFamily(), Constant(0.0))])
 def test_hopeless_scenes_end_with_one_line(tmp_path, family, render):
-    with pytest.raises(ShardError, match="train-000000.*no acceptable views.*min_coverage"):
+    with pytest.raises(ShardError, match=r"train-000000.*no acceptable views.*min_coverage"):
         make(tmp_path, family, render, camera_attempts=2, scene_attempts=2, splits={"train": 1})
 
 
 def test_radiance_that_does_not_fit_is_a_failure_that_names_the_scene(tmp_path):
-    with pytest.raises(ShardError, match="train-000000.*beyond half precision"):
+    with pytest.raises(ShardError, match=r"train-000000.*beyond half precision"):
         make(tmp_path, render=Constant(1e5), splits={"train": 1})
 
 
@@ -204,12 +233,13 @@ def test_missing_blender_ends_the_run_at_once(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "change, message",
+    ("change", "message"),
     [
         ({"views": 0}, r"data\.views is 0"),
         ({"seed": -1}, r"data\.seed is -1"),
         ({"min_coverage": 1.5}, r"data\.min_coverage"),
-        ({"splits": {"train": 2, "validation": 1}}, r"data\.splits\.validation.*choose from train"),
+        ({"splits": {"train": 2, "holdout": 1}}, r"data\.splits\.holdout.*choose from train"),
+        ({"splits": {"train": -2}}, r"data\.splits\.train is -2"),
         ({"splits": {"train": 2, "train_newviews": 3}}, "train_newviews is larger"),
     ],
 )

@@ -27,7 +27,8 @@ def sample() -> SceneSample:
 
 def test_round_trip(sample):
     again = decode(sample.key, encode(sample))
-    assert again.key == sample.key and again.meta == sample.meta
+    assert again.key == sample.key
+    assert again.meta == sample.meta
     for name in ("positions", "material", "object_offsets", "object_names"):
         np.testing.assert_array_equal(getattr(again.triangles, name), getattr(sample.triangles, name))
     np.testing.assert_allclose(again.triangles.normals, sample.triangles.normals, atol=5e-4)
@@ -44,7 +45,8 @@ def test_round_trip(sample):
 def test_every_gbuffer_channel_can_be_looked_up(sample):
     again = decode(sample.key, encode(sample))
     for stored, original in zip(again.gbuffers, sample.gbuffers, strict=True):
-        assert original.hit.any() and stored.triangle.dtype == np.int32
+        assert original.hit.any()
+        assert stored.triangle.dtype == np.int32
         expected = stack_channels(original, sample.triangles.material, 45.0, list(CHANNELS))
         np.testing.assert_allclose(
             stack_channels(stored, again.triangles.material, 45.0, list(CHANNELS)), expected, atol=5e-4

@@ -131,8 +131,8 @@ def test_another_schema_version_is_refused(copied):
 def test_no_data_and_no_such_split_say_what_to_do(finished, tmp_path):
     with pytest.raises(ShardError, match=r"no finished data set.*launch/generate\.py"):
         ShardSplit(tmp_path, "train")
-    with pytest.raises(ShardError, match="no split 'validation': choose from test, train, train_newviews"):
-        ShardSplit(finished.root, "validation")
+    with pytest.raises(ShardError, match="no split 'holdout': choose from test, train, train_newviews"):
+        ShardSplit(finished.root, "holdout")
 
 
 def orders(seed: int, epochs: int) -> list[list[int]]:
@@ -146,7 +146,8 @@ def orders(seed: int, epochs: int) -> list[list[int]]:
 
 def test_order_is_a_function_of_seed_and_epoch():
     first = orders(0, 3)
-    assert first == orders(0, 3) and first != orders(1, 3)
+    assert first == orders(0, 3)
+    assert first != orders(1, 3)
     assert all(sorted(order) == list(range(50)) for order in first)
     assert first[0] != first[1] != first[2]
     late = EpochSampler(50, 0)

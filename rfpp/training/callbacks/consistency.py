@@ -9,7 +9,7 @@ from rfpp.batch import RaggedBatch
 
 
 class ConsistencyMonitor(L.Callback):
-    """Logs the residual of each transport iteration as `consistency/k=1` … `consistency/k=K`.
+    """Logs the residual of each transport iteration as `consistency/k1` … `consistency/kK`.
 
     `consistency/last_over_first` below 1 says that the operator contracts: later states change less than early ones.
     """
@@ -19,7 +19,7 @@ class ConsistencyMonitor(L.Callback):
     ) -> None:
         residuals = {}
         while (term := outputs.get(f"consistency_{len(residuals) + 1}")) is not None:
-            residuals[f"consistency/k={len(residuals) + 1}"] = term.detach()
+            residuals[f"consistency/k{len(residuals) + 1}"] = term.detach()
         if not residuals:
             return
         values = list(residuals.values())

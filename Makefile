@@ -1,0 +1,40 @@
+# make quickstart     data → training → evaluation → pictures, on a laptop CPU
+# make test           the test suite
+# make check          style, import contracts
+# Each makes its own virtual environment first. PYTHON=/path/to/python3.11 names another interpreter.
+VENV ?= .venv
+RUN := $(VENV)/bin/python
+EXPERIMENT := +experiment=quickstart
+LATEST := data/runs/quickstart/latest
+
+.PHONY: help quickstart test check install
+.DEFAULT_GOAL := help
+
+help:
+	@sed -n '1,/^VENV/{/^# /s/^# //p}' $(MAKEFILE_LIST)
+
+install: $(VENV)/.installed
+
+$(VENV)/.installed: pyproject.toml requirements.lock launch/install.sh
+	@PYTHON="$(PYTHON)" sh launch/install.sh $(VENV)
+	@touch $@
+
+quickstart: install
+	$(RUN) launch/generate.py $(EXPERIMENT)
+	$(RUN) launch/train.py $(EXPERIMENT)
+	$(RUN) launch/evaluate.py $(EXPERIMENT) checkpoint=$(LATEST)/checkpoints/best.ckpt
+	$(RUN) launch/render.py scene=data/scenes/cornell_box.json checkpoint=$(LATEST)/checkpoints/best.ckpt \
+		output=data/renders reference=true
+	@echo
+	@echo "Pictures        data/renders/cornell_box_0_comparison.png, $(LATEST)/evaluation/*.png"
+	@echo "Metrics         $(LATEST)/evaluation/summary.csv"
+	@echo "Training run    $(RUN) -m mlflow ui --backend-store-uri sqlite:///data/runs/mlflow.db"
+	@echo "Render more     $(RUN) launch/render.py scene=data/scenes/roughness_spheres.json checkpoint=$(LATEST)/checkpoints/best.ckpt"
+
+test: install
+	$(RUN) -m pytest
+
+check: install
+	$(VENV)/bin/ruff check .
+	$(VENV)/bin/ruff format --check .
+	$(VENV)/bin/lint-imports

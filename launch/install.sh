@@ -1,0 +1,38 @@
+#!/bin/sh
+# Make a virtual environment with everything the project needs: launch/install.sh [folder]
+# Needs no root. Names the line that installs a missing Python or system library.
+set -eu
+venv=${1:-.venv}
+cd "$(dirname "$0")/.."
+
+for candidate in "${PYTHON:-python3.11}" python3 python; do
+    if "$candidate" -c 'import sys; sys.exit(sys.version_info[:2] != (3, 11))' 2>/dev/null; then
+        python=$candidate
+        break
+    fi
+done
+if [ -z "${python:-}" ]; then
+    echo "error: Python 3.11 is missing (Blender's Python module exists for no other version)." >&2
+    echo "Install it: 'sudo apt-get install python3.11 python3.11-venv', 'brew install python@3.11' or 'pyenv install 3.11'," >&2
+    echo "or name it: 'make PYTHON=/path/to/python3.11 …'." >&2
+    exit 1
+fi
+if ! "$python" -c 'import venv, ensurepip' 2>/dev/null; then
+    echo "error: Python's venv module is missing. Install it: sudo apt-get install python3.11-venv" >&2
+    exit 1
+fi
+
+echo "Installing into $venv (about 3 GB; two minutes on a fast line) …"
+[ -x "$venv/bin/python" ] || "$python" -m venv "$venv"
+"$venv/bin/python" -m pip install --quiet --disable-pip-version-check -c requirements.lock -e '.[blender,dev]'
+
+"$venv/bin/python" - <<'EOF'
+import sys
+from rfpp.errors import UserError
+from rfpp.reference.cycles import require_blender
+
+try:
+    require_blender()
+except UserError as error:
+    sys.exit(f"error: {error}")
+EOF

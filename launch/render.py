@@ -1,0 +1,98 @@
+"""Render a scene file with a trained network.
+
+    python launch/render.py scene=data/scenes/cornell_box.json checkpoint=data/runs/quickstart/latest/checkpoints/best.ckpt
+"""
+
+from __future__ import annotations
+
+import time
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from hydra.utils import instantiate
+from omegaconf import DictConfig, OmegaConf
+from rich.console import Console
+
+from rfpp import Renderer, Scene
+from rfpp.entry import entry_point, required
+from rfpp.errors import UserError
+from rfpp.exr import write_exr
+from rfpp.panels import error_map, panel, save_png, tone_mapped
+from rfpp.reference.cycles import render as path_trace
+from rfpp.reference.farm import RenderFarm
+from rfpp.scene.camera import camera_to_world
+from rfpp.scene.triangles import SceneTriangles
+from rfpp.training.run import write_config
+
+
+@entry_point("render")
+def main(cfg: DictConfig) -> list[Path]:
+    """Render `cfg.scene` with `cfg.checkpoint`; returns the EXR files, one for each camera."""
+    console = Console(highlight=False, soft_wrap=True)
+    scene = with_cameras(Scene.load(required(cfg, "scene")), cfg.cameras)
+    renderer = Renderer.load(required(cfg, "checkpoint"), cfg.device)
+    resolution = OmegaConf.to_object(cfg.resolution) if OmegaConf.is_list(cfg.resolution) else cfg.resolution
+    height, width = renderer.image_size(tuple(resolution) if isinstance(resolution, list) else resolution)
+
+    begin = time.perf_counter()
+    images = renderer.render(scene, (height, width))
+    console.print(f"{scene.name}: {len(images)} views of {width} x {height} in {time.perf_counter() - begin:.2f} s")
+    targets = output_files(Path(cfg.output), Path(cfg.scene).stem, len(images))
+    for image, target in zip(images, targets, strict=True):
+        write_pictures(image, target)
+    if cfg.reference:
+        references = reference_images(scene, height, width, cfg.reference_settings, console)
+        for image, reference, target in zip(images, references, targets, strict=True):
+            write_pictures(reference, target.with_name(f"{target.stem}_reference.exr"))
+            columns = {
+                "path-traced reference": [tone_mapped(reference)],
+                "prediction": [tone_mapped(image)],
+                "error": [error_map(image, reference)],
+            }
+            save_png(panel(columns), target.with_name(f"{target.stem}_comparison.png"))
+    write_config(cfg, targets[0].parent, f"{Path(cfg.scene).stem}.yaml")
+    console.print("\n".join(f"  {target}, {target.with_suffix('.png').name}" for target in targets))
+    return targets
+
+
+def with_cameras(scene: Scene, wanted: list[int] | None) -> Scene:
+    """The scene with only the wanted cameras. Raises UserError when one does not exist."""
+    if wanted is None:
+        return scene
+    if not wanted or min(wanted) < 0 or max(wanted) >= len(scene.cameras):
+        raise UserError(f"cameras={list(wanted)}: the scene has cameras 0…{len(scene.cameras) - 1}: choose among them")
+    return scene.model_copy(update={"cameras": tuple(scene.cameras[i] for i in wanted)})
+
+
+def output_files(output: Path, stem: str, views: int) -> list[Path]:
+    """One EXR path for each view: `output` itself where it names the file of a single view, else numbered."""
+    if output.suffix == ".exr":
+        if views == 1:
+            return [output]
+        output, stem = output.parent, output.stem
+    return [output / f"{stem}_{view}.exr" for view in range(views)]
+
+
+def write_pictures(radiance: np.ndarray, target: Path) -> None:
+    """Linear radiance as half-float EXR, and tone-mapped as PNG beside it."""
+    write_exr(target, {"RGB": np.ascontiguousarray(radiance.astype(np.float16))})
+    save_png(tone_mapped(radiance), target.with_suffix(".png"))
+
+
+def reference_images(scene: Scene, height: int, width: int, settings: DictConfig, console: Console) -> np.ndarray:
+    """The same views path-traced by Blender Cycles, in a worker process of its own."""
+    c2w = np.stack([camera_to_world(camera) for camera in scene.cameras])
+    fov = np.array([camera.fov for camera in scene.cameras], dtype=np.float32)
+    job = partial(path_trace, c2w=c2w, fov=fov, height=height, width=width, settings=instantiate(settings))
+    begin = time.perf_counter()
+    with console.status(f"Path tracing {len(fov)} views at {settings.samples} samples …"), RenderFarm(1) as farm:
+        [(_, images)] = farm.map(job, [SceneTriangles.from_scene(scene)])
+    if isinstance(images, Exception):
+        raise images
+    console.print(f"{scene.name}: reference of {settings.samples} samples in {time.perf_counter() - begin:.1f} s")
+    return images
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,37 @@
+from mlflow.tracking import MlflowClient
+
+from rfpp.evaluation.results import log_to_training_run, tracked_metrics
+from rfpp.inference.checkpoint import CheckpointInfo
+
+MEANS = {("test", "model"): {"log_l1": 0.01}, ("test", "albedo x constant"): {"log_l1": 0.03}}
+
+
+def _info(uri: str | None, run_id: str | None) -> CheckpointInfo:
+    return CheckpointInfo({}, (8, 8), "hash", mlflow_run_id=run_id, mlflow_tracking_uri=uri)
+
+
+def test_names_tell_the_network_from_the_baselines() -> None:
+    assert tracked_metrics(MEANS) == {"test/log_l1": 0.01, "test_baselines/albedo_x_constant/log_l1": 0.03}
+
+
+def test_results_are_added_to_the_finished_training_run(tmp_path) -> None:
+    uri = f"sqlite:///{tmp_path}/mlflow.db"
+    client = MlflowClient(uri)
+    experiment = client.create_experiment("e", artifact_location=(tmp_path / "artifacts").as_uri())
+    run = client.create_run(experiment).info.run_id
+    client.set_terminated(run)
+    table = tmp_path / "summary.csv"
+    table.write_text("split\n")
+    assert log_to_training_run(_info(uri, run), MEANS, [table]).startswith("Logged")
+    assert client.get_run(run).data.metrics == tracked_metrics(MEANS)
+    assert [f.path for f in client.list_artifacts(run, "evaluation")] == ["evaluation/summary.csv"]
+
+
+def test_a_lost_run_is_said_in_one_line(tmp_path) -> None:
+    line = log_to_training_run(_info(f"sqlite:///{tmp_path}/mlflow.db", "0" * 32), MEANS, [])
+    assert line.startswith("Not logged")
+    assert "\n" not in line
+
+
+def test_a_checkpoint_without_a_run_is_said() -> None:
+    assert "no MLflow run" in log_to_training_run(_info(None, None), MEANS, [])

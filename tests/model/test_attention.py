@@ -1,0 +1,82 @@
+"""The fast attention backends against the loop that defines them, in values and gradients."""
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from rfpp.batch import Segments
+from rfpp.model.attention import AttentionPattern, attend, attend_bucketed, attend_loop, attend_varlen
+from marks import requires_gpu
+
+
+def values_and_gradients(backend, q, k, v, pattern):
+    leaves = [t.clone().requires_grad_() for t in (q, k, v)]
+    out = backend(*leaves, pattern)
+    weights = torch.linspace(-1, 1, out.numel(), device=out.device).view_as(out)
+    (out.float() * weights).sum().backward()
+    return [out.detach(), *(t.grad for t in leaves)]
+
+
+def random_qkv(queries, keys, heads=2, dim=8, seed=0):
+    g = torch.Generator().manual_seed(seed)
+    return [torch.randn(n, heads, dim, generator=g) for n in (queries.total, keys.total, keys.total)]
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(st.tuples(st.integers(1, 9), st.integers(1, 40)), min_size=1, max_size=8))
+def test_buckets_equal_loop_for_any_lengths(lengths):
+    queries, keys = (Segments.from_lengths(n) for n in zip(*lengths, strict=True))
+    qkv, pattern = random_qkv(queries, keys), AttentionPattern(queries, keys)
+    for fast, slow in zip(
+        values_and_gradients(attend_bucketed, *qkv, pattern),
+        values_and_gradients(attend_loop, *qkv, pattern),
+        strict=True,
+    ):
+        torch.testing.assert_close(fast, slow, rtol=1e-5, atol=1e-6)
+
+
+def test_self_attention_of_a_realistic_scene_equals_loop():
+    segments = Segments.from_lengths([128, 128, 300, 51, 64, 1, 1, 1, 77])
+    qkv, pattern = random_qkv(segments, segments, dim=64), AttentionPattern(segments)
+    for fast, slow in zip(
+        values_and_gradients(attend, *qkv, pattern), values_and_gradients(attend_loop, *qkv, pattern), strict=True
+    ):
+        torch.testing.assert_close(fast, slow, rtol=1e-4, atol=1e-5)
+
+
+def test_segments_do_not_leak():
+    segments = Segments.from_lengths([5, 7, 3])
+    (q, k, v), pattern = random_qkv(segments, segments), AttentionPattern(segments)
+    before = attend_bucketed(q, k, v, pattern)
+    k[5:12], v[5:12] = 100.0, 100.0  # only segment 1 may notice
+    after = attend_bucketed(q, k, v, pattern)
+    assert torch.equal(before[:5], after[:5])
+    assert torch.equal(before[12:], after[12:])
+    assert not torch.allclose(before[5:12], after[5:12])
+
+
+def test_buckets_bound_the_padding():
+    lengths = np.random.default_rng(0).integers(1, 1200, 70).tolist()
+    pattern = AttentionPattern(Segments.from_lengths(lengths))
+    padded = sum(b.key_rows.size for b in pattern.buckets)
+    assert padded <= 1.25 * sum(lengths)
+
+
+def test_a_pattern_needs_as_many_key_as_query_segments():
+    with pytest.raises(ValueError, match="2 query segments for 1 key segments"):
+        AttentionPattern(Segments.from_lengths([1, 2]), Segments.from_lengths([3]))
+
+
+@requires_gpu
+def test_varlen_kernel_equals_loop():
+    queries, keys = Segments.from_lengths([8, 8, 8], "cuda"), Segments.from_lengths([300, 1, 77], "cuda")
+    qkv = [t.cuda().bfloat16() for t in random_qkv(queries, keys, dim=64)]
+    pattern = AttentionPattern(queries, keys)
+    for fast, slow in zip(
+        values_and_gradients(attend_varlen, *qkv, pattern),
+        values_and_gradients(attend_loop, *[t.float() for t in qkv], pattern),
+        strict=True,
+    ):
+        torch.testing.assert_close(fast.float(), slow, rtol=3e-2, atol=3e-2)

@@ -1,0 +1,30 @@
+"""Networks small enough for a test, from the project's own configuration."""
+
+from functools import cache
+
+import torch
+from hydra import compose, initialize_config_dir
+from hydra.utils import instantiate
+from omegaconf import OmegaConf
+
+from rfpp.entry import CONFIG_DIR
+from rfpp.model.renderformer_pp import RenderFormerPP
+
+SMALLEST = (
+    "size.width=54", "size.heads=1", "size.hidden=64", "size.frequencies=3", "size.encoder_layers=1",
+    "size.head_level_channels=[8,8,16,16]", "size.head_channels=16",
+)  # fmt: skip
+
+
+@cache
+def model_config(*overrides: str) -> dict:
+    """The resolved `model` config of an experiment with overrides."""
+    with initialize_config_dir(str(CONFIG_DIR), version_base="1.3"):
+        cfg = compose("train", overrides=[*SMALLEST, "run_dir=unused", *overrides])
+    return OmegaConf.to_container(cfg.model, resolve=True)
+
+
+def network(*overrides: str, seed: int = 0) -> RenderFormerPP:
+    """A freshly initialised network in evaluation mode, the same for the same seed."""
+    torch.manual_seed(seed)
+    return instantiate(model_config(*overrides), _convert_="all").eval()
