@@ -1,6 +1,7 @@
 """Render a scene file with a trained network.
 
-    python launch/render.py scene=data/scenes/cornell_box.json checkpoint=data/runs/quickstart/latest/checkpoints/best.ckpt
+    python launch/render.py scene=data/scenes/cornell_box.json \\
+        checkpoint=data/runs/quickstart/latest/checkpoints/best.ckpt
 """
 
 from __future__ import annotations

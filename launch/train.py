@@ -1,6 +1,6 @@
 """Train a network on a data set's shards, tracked in MLflow.
 
-    python launch/train.py +experiment=quickstart
+python launch/train.py +experiment=quickstart
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """rfpp: an open implementation of RenderFormer++.
 
-    from rfpp import Renderer, Scene
-    images = Renderer.load("best.ckpt").render(Scene.load("data/scenes/cornell_box.json"))
+from rfpp import Renderer, Scene
+images = Renderer.load("best.ckpt").render(Scene.load("data/scenes/cornell_box.json"))
 """
 
 from rfpp.scene.spec import Scene

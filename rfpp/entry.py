@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+import errno
 import functools
 import sys
 import warnings
 from collections.abc import Callable
 from pathlib import Path
-from typing import TypeVar
+from typing import NoReturn, TypeVar
 
 import hydra
+from hydra.errors import InstantiationException
 from omegaconf import DictConfig, OmegaConf
 
 from rfpp.errors import UserError
 
 Result = TypeVar("Result")
+
+#: The ways in which a disk can be full: no space, quota used up, file-size limit reached.
+NO_SPACE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 #: Hydra's primary configurations and groups.
 CONFIG_DIR = Path(__file__).resolve().parents[1] / "conf"
@@ -34,12 +39,25 @@ def entry_point(config_name: str) -> Callable[[Callable[[DictConfig], Result]], 
             try:
                 return task(cfg)
             except UserError as error:
-                print(f"error: {error}", file=sys.stderr)
-                sys.exit(1)
+                _fail(error)
+            except InstantiationException as error:  # Hydra's wrapping of what a constructor raised
+                if not isinstance(error.__cause__, UserError):
+                    raise
+                _fail(error.__cause__)
+            except OSError as error:  # out of the hands of a library that was writing
+                if error.errno not in NO_SPACE:
+                    raise
+                where = error.filename or "while writing"
+                _fail(UserError(f"{where}: {error.strerror}: free some space and run the same command again"))
 
         return hydra.main(version_base="1.3", config_path=str(CONFIG_DIR), config_name=config_name)(reporting)
 
     return decorate
+
+
+def _fail(error: UserError) -> NoReturn:
+    print(f"error: {error}", file=sys.stderr)
+    sys.exit(1)
 
 
 def _one_line(message: Warning | str, category: type[Warning], *_: object) -> str:

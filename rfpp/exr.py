@@ -25,11 +25,6 @@ class ImageFileError(UserError):
     """An image file that is missing, truncated or damaged."""
 
 
-def to_half(radiance: np.ndarray) -> np.ndarray:
-    """Half precision with values beyond 65504 clamped rather than turned into infinity."""
-    return np.clip(radiance, -HALF_MAX, HALF_MAX).astype(np.float16)
-
-
 def encode_exr(layers: Mapping[str, np.ndarray], attributes: Mapping[str, str] | None = None) -> bytes:
     """The bytes of an OpenEXR file with these layers (see the module) and text attributes in its header.
 

@@ -41,7 +41,7 @@ def look_at(position, target=(0.0, 0.0, 0.0), up=(0.0, 0.0, 1.0)) -> np.ndarray:
 def square(size=1.0, z=0.0) -> np.ndarray:
     """A horizontal square facing up, two triangles."""
     a, b, c, d = size / 2 * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
-    return np.array([[a, b, c], [a, c, d]]) + [0, 0, z]
+    return np.add([[a, b, c], [a, c, d]], (0, 0, z))
 
 
 def box(size, centre=(0, 0, 0)) -> np.ndarray:

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from rfpp.errors import UserError
-from rfpp.exr import ImageFileError, decode_exr, encode_exr, exr_attributes, read_exr, to_half, write_exr
+from rfpp.exr import ImageFileError, decode_exr, encode_exr, exr_attributes, read_exr, write_exr
 
 
 @pytest.fixture
@@ -91,7 +91,3 @@ def test_a_full_disk_names_the_path_and_keeps_the_old_file(layers, tmp_path, mon
         write_exr(path, {"RGB": layers["RGB"] * 2})
     np.testing.assert_array_equal(read_exr(path)["RGB"], layers["RGB"])
     assert [p.name for p in tmp_path.iterdir()] == ["view.exr"]
-
-
-def test_half_never_becomes_infinite():
-    np.testing.assert_array_equal(to_half(np.array([0.5, 1e9, -1e9])), np.array([0.5, 65504, -65504], np.float16))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import torch
 from jaxtyping import Float
@@ -25,7 +26,7 @@ class TransportConsistency(nn.Module):
     def forward(self, states: Sequence[Float[Tensor, "n width"]]) -> Float[Tensor, " k"]:
         """[K] residuals; the loss is their sum. `states` are K + 1 scattered features, or none (then K = 0)."""
         residuals = []
-        for current, updated in zip(states[:-1], states[1:], strict=True):
+        for current, updated in pairwise(states):
             target = updated.detach() if self.stop_gradient else updated
             residuals.append((current.float() - target.float()).square().mean())
         return torch.stack(residuals) if residuals else torch.zeros(0)

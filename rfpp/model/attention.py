@@ -7,7 +7,9 @@ elsewhere, and a loop over segments that is slow, obvious, and the yardstick of 
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -17,8 +19,9 @@ from torch import Tensor
 
 from rfpp.batch import Segments
 
-#: Key lengths within this ratio share a bucket: a wider one pads more, a narrower one launches more kernels.
-BUCKET_RATIO = 1.25
+#: Segments are padded to multiples of this and taken in powers of two. On a CPU every new shape of a matrix product
+#: costs a compilation (oneDNN), more than the product itself; so the shapes must recur from batch to batch.
+GRANULARITY = 32
 #: Up to this many scores per head, plain matrix products beat PyTorch's fused kernel on a CPU, two to three times.
 SMALL_ATTENTION = 512 * 512
 
@@ -37,19 +40,20 @@ class AttentionPattern:
 
     @cached_property
     def buckets(self) -> list[Bucket]:
-        """Segments grouped by key length (and query length), shortest first."""
-        key_lengths, query_lengths = np.array(self.keys.lengths), np.array(self.queries.lengths)
-        order = np.lexsort((query_lengths, key_lengths))
-        groups: list[list[int]] = []
-        for i in order:
-            first = groups[-1][0] if groups else None
-            if first is not None and key_lengths[i] <= BUCKET_RATIO * key_lengths[first]:
-                groups[-1].append(i)
-            else:
-                groups.append([i])
-        q_starts = np.concatenate([[0], np.cumsum(query_lengths)])
-        k_starts = np.concatenate([[0], np.cumsum(key_lengths)])
-        return [Bucket(np.array(g), q_starts, query_lengths, k_starts, key_lengths) for g in groups]
+        """Segments grouped by padded key and query length, shortest first, in groups of a power of two."""
+        query_lengths, key_lengths = np.array(self.queries.lengths), np.array(self.keys.lengths)
+        padded = np.stack([padded_length(query_lengths), padded_length(key_lengths)])
+        order = np.lexsort(padded)
+        changes = np.flatnonzero((np.diff(padded[:, order]) != 0).any(axis=0)) + 1
+        q_starts, k_starts = (np.cumsum(n) - n for n in (query_lengths, key_lengths))
+        return [
+            Bucket(
+                query_rows=_padded_rows(q_starts[members], query_lengths[members], int(padded[0, members[0]])),
+                key_rows=_padded_rows(k_starts[members], key_lengths[members], int(padded[1, members[0]])),
+            )
+            for group in np.split(order, changes)
+            for members in _powers_of_two(group)
+        ]
 
     @cached_property
     def query_layout(self) -> PaddedLayout:
@@ -67,16 +71,29 @@ class AttentionPattern:
         return [None if real.all() else torch.from_numpy(real).to(device)[:, None, None, :] for real in rows]
 
 
-class Bucket:
-    """Some segments padded to the longest of them: row tables with -1 for padding."""
+class Bucket(NamedTuple):
+    """Some segments padded to one length: which packed row each padded row is, -1 for padding."""
 
-    def __init__(self, members, query_starts, query_lengths, key_starts, key_lengths):
-        self.query_rows = _padded_rows(query_starts[members], query_lengths[members])  # [b, Lq]
-        self.key_rows = _padded_rows(key_starts[members], key_lengths[members])  # [b, Lk]
+    query_rows: np.ndarray  # [b, Lq]
+    key_rows: np.ndarray  # [b, Lk]
 
 
-def _padded_rows(starts: np.ndarray, lengths: np.ndarray) -> np.ndarray:
-    position = np.arange(lengths.max())
+def padded_length(lengths: np.ndarray) -> np.ndarray:
+    """Lengths rounded up to a power of two, above GRANULARITY to a multiple of it."""
+    small = 2 ** np.ceil(np.log2(lengths)).astype(int)
+    return np.where(lengths <= GRANULARITY, small, -(-lengths // GRANULARITY) * GRANULARITY)
+
+
+def _powers_of_two(group: np.ndarray) -> Iterator[np.ndarray]:
+    """13 segments as 8, 4 and 1."""
+    while len(group):
+        size = 1 << (len(group).bit_length() - 1)
+        yield group[:size]
+        group = group[size:]
+
+
+def _padded_rows(starts: np.ndarray, lengths: np.ndarray, longest: int) -> np.ndarray:
+    position = np.arange(longest)
     return np.where(position < lengths[:, None], starts[:, None] + position, -1)
 
 
@@ -152,9 +169,7 @@ def attend(
 def attend_bucketed(q: Tensor, k: Tensor, v: Tensor, pattern: AttentionPattern) -> Tensor:
     """Dense attention per bucket of similar key lengths."""
     qs, ks, vs = pattern.query_layout.pad(q), pattern.key_layout.pad(k), pattern.key_layout.pad(v)
-    out = [
-        _attend_dense(*qkv, mask) for qkv, mask in zip(zip(qs, ks, vs, strict=True), pattern.key_masks, strict=True)
-    ]
+    out = [_attend_dense(*qkv, mask) for qkv, mask in zip(zip(qs, ks, vs, strict=True), pattern.key_masks, strict=True)]
     return pattern.query_layout.unpad(out)
 
 

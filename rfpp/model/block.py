@@ -156,5 +156,5 @@ def _split(x: Float[Tensor, "n width"], heads: int) -> Float[Tensor, "n h d"]:
 
 
 def _linears(x: Float[Tensor, "n width"], stacked: nn.Linear, parts: int) -> tuple[Tensor, ...]:
-    """The equal parts of a bias-free linear layer's output, each contiguous: slices of one would slow all that follows."""
+    """Equal parts of a bias-free linear layer's output, each contiguous: slices of one would slow what follows."""
     return tuple(F.linear(x, weight) for weight in stacked.weight.chunk(parts))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import torch
 import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
@@ -30,7 +31,7 @@ class DPTHead(nn.Module):
         super().__init__()
         if patch_size < 4:
             raise ValueError(f"patches of {patch_size} pixels: the head's finest level would exceed the image")
-        fine, half, same, coarse = level_channels
+        fine, half, _, coarse = level_channels
         self.project = nn.ModuleList(nn.Conv2d(width, c, 1) for c in level_channels)
         self.resample = nn.ModuleList(
             [
@@ -53,16 +54,14 @@ class DPTHead(nn.Module):
     ) -> Float[Tensor, "n 3 height width"]:
         levels = [
             common(resample(project(f)))
-            for f, project, resample, common in zip(
-                features, self.project, self.resample, self.to_common, strict=True
-            )
+            for f, project, resample, common in zip(features, self.project, self.resample, self.to_common, strict=True)
         ]
         x = self.fuse[3](levels[3], None, levels[2].shape[-2:])
         x = self.fuse[2](x, levels[2], levels[1].shape[-2:])
         x = self.fuse[1](x, levels[1], levels[0].shape[-2:])
         x = self.fuse[0](x, levels[0], (height, width))
         x = self.out(_resize(self.smooth(x), (height, width)))
-        return F.elu(x.float(), alpha=1e-3)
+        return _ELU.apply(x.float())
 
 
 class FusionBlock(nn.Module):
@@ -90,6 +89,27 @@ class ResidualConvUnit(nn.Module):
 
     def forward(self, x: Tensor) -> Tensor:
         return x + self.conv2(F.silu(self.conv1(F.silu(x))))
+
+
+class _ELU(torch.autograd.Function):
+    """ELU(α = 10⁻³), RenderFormer's output, whose gradient does not die below zero.
+
+    There the true slope is α at most, so a pixel that has turned black would need a thousand times as many steps to
+    come back; whole networks have stayed black. A gradient that asks for more light is therefore passed on undamped.
+    """
+
+    ALPHA = 1e-3
+
+    @staticmethod
+    def forward(ctx, x: Tensor) -> Tensor:
+        ctx.save_for_backward(x)
+        return F.elu(x, alpha=_ELU.ALPHA)
+
+    @staticmethod
+    def backward(ctx, grad: Tensor) -> Tensor:
+        (x,) = ctx.saved_tensors
+        slope = torch.where((x > 0) | (grad < 0), 1.0, _ELU.ALPHA * x.clamp(max=0).exp())
+        return grad * slope
 
 
 def _resize(x: Tensor, size: tuple[int, int]) -> Tensor:

@@ -56,9 +56,7 @@ class RelativeSpatialEncoding(nn.Module):
                 f"use at most {head_dim // 18} frequencies or wider heads"
             )
         self.unrotated = head_dim // 2 - 9 * num_frequencies
-        self.register_buffer(
-            "frequencies", 2.0 ** torch.linspace(0, math.log2(5), num_frequencies), persistent=False
-        )
+        self.register_buffer("frequencies", 2.0 ** torch.linspace(0, math.log2(5), num_frequencies), persistent=False)
 
     def forward(self, points: Float[Tensor, "n 9"]) -> Rotation:
         angles = (points.float()[..., None] * self.frequencies.float()).flatten(-2)

@@ -40,9 +40,7 @@ class RayBundleEmbedding(nn.Module):
         self.norm = RMSNorm(width, eps=None)
         self.token = nn.Parameter(0.02 * torch.randn(width))
 
-    def forward(
-        self, fov: Float[Tensor, " n"], gbuffer: Float[Tensor, "n c h w"]
-    ) -> Float[Tensor, "n patches width"]:
+    def forward(self, fov: Float[Tensor, " n"], gbuffer: Float[Tensor, "n c h w"]) -> Float[Tensor, "n patches width"]:
         """Raises ValueError when the image does not divide into patches or the G-buffer has other channels."""
         height, width = gbuffer.shape[-2:]
         if height % self.patch_size or width % self.patch_size:

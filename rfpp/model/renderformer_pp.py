@@ -13,7 +13,6 @@ from rfpp.model.transport import PhysicsInformedTransport, Transported, Unconstr
 from rfpp.model.triangle_embedding import TriangleEmbedding
 from rfpp.model.view_decoder import ViewDecoder
 
-
 #: Of linear layers. Small, so that the first transport states hardly differ and their consistency loss starts low.
 INITIAL_STD = 0.02
 

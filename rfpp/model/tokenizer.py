@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import torch
 from jaxtyping import Float
@@ -36,9 +37,7 @@ class TriangleTokens(nn.Module):
 
     def forward(self, triangles: Float[Tensor, "m width"], batch: RaggedBatch) -> SceneTokens:
         ends = batch.objects.offsets[batch.scenes.offsets.long()].tolist()
-        segments = Segments.from_lengths(
-            [b - a for a, b in zip(ends[:-1], ends[1:], strict=True)], batch.positions.device
-        )
+        segments = Segments.from_lengths([b - a for a, b in pairwise(ends)], batch.positions.device)
         return SceneTokens(triangles, batch.positions.flatten(1), batch.log_emission, segments)
 
 
@@ -55,7 +54,14 @@ class ObjectTokens(nn.Module):
     """
 
     def __init__(
-        self, width: int, heads: int, hidden: int, encoder_layers: int, queries: int, cross_layers: int, frequencies: int
+        self,
+        width: int,
+        heads: int,
+        hidden: int,
+        encoder_layers: int,
+        queries: int,
+        cross_layers: int,
+        frequencies: int,
     ):
         super().__init__()
         self.position = RelativeSpatialEncoding(width // heads, frequencies)

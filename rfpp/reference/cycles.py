@@ -25,7 +25,7 @@ import numpy as np
 from jaxtyping import Float
 
 from rfpp.errors import MissingDependencyError, UserError
-from rfpp.exr import ImageFileError, read_exr, to_half
+from rfpp.exr import ImageFileError, read_exr
 from rfpp.reference.blender_scene import add_geometry
 from rfpp.scene.triangles import SceneTriangles
 
@@ -105,7 +105,7 @@ def render(
     width: int,
     settings: CyclesSettings,
 ) -> Float[np.ndarray, "v h w 3"]:
-    """Linear RGB radiance of every view, rounded to half precision, as images are stored; float32.
+    """Linear RGB radiance of every view.
 
     Args:
         triangles: in world space.
@@ -116,8 +116,7 @@ def render(
         SceneError: geometry that is not finite or a degenerate triangle.
         MissingDependencyError: Blender is not installed or lacks a system library.
     """
-    images = render_passes(triangles, c2w, fov, height, width, settings, ["combined"])["combined"]
-    return to_half(images).astype(np.float32)
+    return render_passes(triangles, c2w, fov, height, width, settings, ["combined"])["combined"]
 
 
 def render_passes(

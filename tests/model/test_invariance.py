@@ -5,11 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from networks import network
 from random_scenes import random_views
+
 from rfpp.batch import RaggedBatch, SceneViews
 from rfpp.scene.triangles import SceneTriangles
 from rfpp.training.views import moved
-from networks import network
 
 VARIANTS = {
     "paper": (),
@@ -47,17 +48,13 @@ def reordered(views: SceneViews, objects: list[int], rng: np.random.Generator | 
 
 def test_object_order_does_not_matter(net):
     views = random_views(np.random.default_rng(1), (9, 30, 4, 1, 1))
-    torch.testing.assert_close(
-        image(net, reordered(views, [3, 1, 4, 0, 2])), image(net, views), rtol=1e-4, atol=1e-6
-    )
+    torch.testing.assert_close(image(net, reordered(views, [3, 1, 4, 0, 2])), image(net, views), rtol=1e-4, atol=1e-6)
 
 
 def test_triangle_order_within_objects_does_not_matter(net):
     rng = np.random.default_rng(2)
     views = random_views(rng, (9, 30, 4, 1))
-    torch.testing.assert_close(
-        image(net, reordered(views, [0, 1, 2, 3], rng)), image(net, views), rtol=1e-4, atol=1e-6
-    )
+    torch.testing.assert_close(image(net, reordered(views, [0, 1, 2, 3], rng)), image(net, views), rtol=1e-4, atol=1e-6)
 
 
 def test_which_object_a_triangle_belongs_to_does_matter(net):
@@ -104,6 +101,4 @@ def test_gradients_of_a_packed_batch_are_the_sum_of_its_scenes():
         net(RaggedBatch.pack(batch)).log_radiance.sum().backward()
         return torch.cat([p.grad.flatten() for p in net.parameters() if p.grad is not None])
 
-    torch.testing.assert_close(
-        gradients(*samples), gradients(samples[0]) + gradients(samples[1]), rtol=1e-3, atol=1e-4
-    )
+    torch.testing.assert_close(gradients(*samples), gradients(samples[0]) + gradients(samples[1]), rtol=1e-3, atol=1e-4)

@@ -1,5 +1,3 @@
-import time
-
 import numpy as np
 import pytest
 from scene_families import family, objects, scenes
@@ -160,13 +158,3 @@ def test_names_are_those_of_renderformer_and_transforms_need_no_normalisation():
     ]
     assert not any(item.transform.normalize for item in scene.objects)
     assert all(item.material.is_emissive == item.name.startswith("light_") for item in scene.objects)
-
-
-@pytest.mark.parametrize(("name", "seconds"), [("quickstart", 0.1), ("large_scale", 1.0)])
-def test_sampling_is_fast(name, seconds):
-    source = family(name)
-    draw(source, 0, 0)
-    start = time.process_time()
-    for seed in range(4):
-        draw(source, seed, seed)
-    assert (time.process_time() - start) / 4 < seconds

@@ -1,0 +1,93 @@
+"""Checkpoints: what is read back, and everything that is refused in one line."""
+
+import os
+
+import pytest
+import torch
+from networks import model_config, network
+
+from rfpp.errors import CheckpointError
+from rfpp.inference.checkpoint import CHECKPOINT_KEY, NETWORK_PREFIX, CheckpointInfo, build, load_network
+
+
+def save(path, net=None, model=None, **changes):
+    info = {**CheckpointInfo(model or model_config(), (16, 16), "hash").to_dict(), **changes}
+    state = {NETWORK_PREFIX + k: v for k, v in (net or network()).state_dict().items()}
+    torch.save({CHECKPOINT_KEY: info, "state_dict": state}, path)
+    return path
+
+
+def refusal(path) -> str:
+    with pytest.raises(CheckpointError) as caught:
+        load_network(path)
+    message = str(caught.value)
+    assert str(path) in message
+    assert "\n" not in message
+    return message
+
+
+def test_a_network_comes_back_as_it_was(tmp_path):
+    saved = network(seed=5)
+    loaded, info = load_network(save(tmp_path / "a.ckpt", saved))
+    assert not loaded.training
+    assert info.resolution == (16, 16)
+    for (name, a), b in zip(saved.state_dict().items(), loaded.state_dict().values(), strict=True):
+        assert torch.equal(a, b), name
+
+
+def test_a_missing_file(tmp_path):
+    assert "no such checkpoint" in refusal(tmp_path / "none.ckpt")
+
+
+def test_a_truncated_file(tmp_path):
+    path = save(tmp_path / "a.ckpt")
+    path.write_bytes(path.read_bytes()[:5000])
+    assert "cannot be read" in refusal(path)
+
+
+def test_a_file_that_is_no_checkpoint(tmp_path):
+    path = tmp_path / "notes.txt"
+    path.write_text("hello")
+    assert "cannot be read" in refusal(path)
+
+
+def test_somebody_elses_checkpoint(tmp_path):
+    torch.save({"state_dict": {}}, tmp_path / "other.ckpt")
+    assert "not a checkpoint of this project" in refusal(tmp_path / "other.ckpt")
+
+
+def test_weights_of_another_model(tmp_path):
+    wider = network("size.hidden=32")
+    assert "has another shape for" in refusal(save(tmp_path / "wide.ckpt", wider))
+    deeper = network("size.encoder_layers=2")
+    assert "unknown tensor tokenizer.encoder.1" in refusal(save(tmp_path / "deep.ckpt", deeper))
+    shallow = save(tmp_path / "shallow.ckpt", model=model_config("size.encoder_layers=2"))
+    assert "lacks tokenizer.encoder.1" in refusal(shallow)
+
+
+def test_another_schema_version(tmp_path):
+    assert "schema 99" in refusal(save(tmp_path / "a.ckpt", schema_version=99))
+
+
+class Evil:
+    def __reduce__(self):
+        return os.system, ("touch pwned",)
+
+
+def test_loading_executes_nothing(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    torch.save({CHECKPOINT_KEY: Evil(), "state_dict": {}}, "evil.ckpt")
+    assert "cannot be read" in refusal(tmp_path / "evil.ckpt")
+    assert not (tmp_path / "pwned").exists()
+
+
+@pytest.mark.parametrize("target", ["os.system", "subprocess.run", "rfpp.training.run.write_config", 7])
+def test_a_config_may_only_name_parts_of_the_model(target):
+    with pytest.raises(CheckpointError, match="refused"):
+        build({"_target_": target, "command": "true"}, "evil.ckpt")
+
+
+@pytest.mark.parametrize("target", ["rfpp.model.dpt.nn.Linear", "rfpp.model.block.F", "rfpp.model.attention.attend"])
+def test_a_config_may_not_reach_through_a_module(target):
+    with pytest.raises(CheckpointError, match="cannot build"):
+        build({"_target_": target}, "evil.ckpt")

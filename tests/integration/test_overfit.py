@@ -1,0 +1,26 @@
+"""If one scene cannot be learned by heart, something between shard and loss is broken."""
+
+import pytest
+import torch
+from marks import requires_blender
+
+from rfpp.metrics.image import ImageMetrics
+
+
+@requires_blender
+@pytest.mark.timeout(900)
+def test_one_scene_is_learned_by_heart(composed, rendered_data, tmp_path):
+    from launch.train import main
+    from rfpp.evaluation.evaluate import render_stored
+    from rfpp.inference.checkpoint import load_network
+    from rfpp.shards.stream import ShardSplit
+
+    cfg = composed(
+        "train", "+experiment=quickstart", "+debug=overfit", f"data.root={rendered_data}", "datamodule.workers=0",
+        f"run_dir={tmp_path}/run", f"logger.folder={tmp_path}",
+    )  # fmt: skip
+    checkpoint = main.__wrapped__(cfg)
+    network, _ = load_network(checkpoint.with_name("last.ckpt"))
+    scene = render_stored(network, ShardSplit(rendered_data, "train"), 0, torch.device("cpu"))
+    values = ImageMetrics(lpips=None)(scene.prediction, scene.reference)
+    assert values["log_l1"].mean() < 0.01

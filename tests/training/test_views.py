@@ -1,0 +1,101 @@
+"""What a training step sees: a pure function of seed, epoch and scene, moved rigidly, in an order all ranks share."""
+
+from itertools import chain
+
+import numpy as np
+import pytest
+from small_data import make
+
+from rfpp.gbuffer.first_hit import first_hit, stack_channels
+from rfpp.shards.stream import ShardSplit
+from rfpp.training.views import AllViews, GlobalBatches, RigidAugmentation, TrainingViews, moved, select_views
+
+CHANNELS = ("albedo", "normal", "position")
+
+
+@pytest.fixture(scope="module")
+def split(tmp_path_factory):
+    manifest = make(tmp_path_factory.mktemp("views") / "small", splits={"train": 4})
+    return ShardSplit(manifest.root, "train")
+
+
+def test_selected_views_are_the_stored_ones(split):
+    sample = split[1]
+    views = select_views(sample, [1], CHANNELS)
+    np.testing.assert_array_equal(views.image[0], sample.images[1].transpose(2, 0, 1))
+    np.testing.assert_array_equal(views.c2w[0], sample.c2w[1])
+    assert views.gbuffer.shape == (1, 9, 8, 8)
+
+
+def test_a_draw_depends_on_seed_epoch_and_scene_only(split):
+    augmentation = RigidAugmentation(rotation=1.0, translation=0.25)
+    first, again = (TrainingViews(split, CHANNELS, 1, augmentation, seed=3)[5, 2] for _ in range(2))
+    np.testing.assert_array_equal(first.triangles.positions, again.triangles.positions)
+    np.testing.assert_array_equal(first.image, again.image)
+    for other in (
+        TrainingViews(split, CHANNELS, 1, augmentation, seed=4)[5, 2],
+        TrainingViews(split, CHANNELS, 1, augmentation, seed=3)[6, 2],
+    ):
+        assert not np.allclose(first.triangles.positions, other.triangles.positions)
+
+
+def test_all_views_of_a_scene_come_up(split):
+    images = {TrainingViews(split, CHANNELS, 1, None, seed=0)[epoch, 0].image.tobytes() for epoch in range(20)}
+    assert len(images) == 2
+
+
+def test_moving_scene_and_camera_leaves_gbuffers_and_images(split):
+    views = AllViews(split, CHANNELS)[0]
+    rng = np.random.default_rng(0)
+    turned = RigidAugmentation(rotation=1.0, translation=0.25)(views, rng)
+    assert not np.allclose(turned.triangles.positions, views.triangles.positions, atol=0.1)
+    np.testing.assert_array_equal(turned.image, views.image)
+    for v in range(2):
+        fov = float(turned.fov[v])
+        seen = first_hit(turned.triangles, turned.c2w[v], fov, 8, 8)
+        channels = stack_channels(seen, turned.triangles.material, fov, CHANNELS)
+        agreeing = np.isclose(channels, views.gbuffer[v], atol=2e-3).all(axis=0)
+        assert agreeing.mean() > 0.95  # a pixel on an edge may see the other side of it
+
+
+def test_a_move_is_rigid_and_right_handed(split):
+    views = AllViews(split, CHANNELS)[0]
+    turned = RigidAugmentation(rotation=2.0, translation=1.0)(views, np.random.default_rng(1))
+    before, after = (np.linalg.norm(np.diff(v.triangles.positions, axis=1), axis=-1) for v in (views, turned))
+    np.testing.assert_allclose(after, before, rtol=1e-4, atol=1e-6)
+    np.testing.assert_allclose(np.linalg.det(turned.c2w[:, :3, :3]), 1, rtol=1e-5)
+
+
+def test_augmentation_has_the_documented_spread(split):
+    views = AllViews(split, CHANNELS)[0]
+    augmentation = RigidAugmentation(rotation=0.0, translation=0.25)
+    rng = np.random.default_rng(2)
+    shifts = np.array([augmentation(views, rng).c2w[0, :3, 3] - views.c2w[0, :3, 3] for _ in range(300)])
+    np.testing.assert_allclose(shifts.std(axis=0), 0.25, rtol=0.15)
+    np.testing.assert_allclose(shifts.mean(axis=0), 0, atol=0.05)
+
+
+def test_moved_rotates_normals_with_the_triangles(split):
+    views = AllViews(split, CHANNELS)[0]
+    quarter = np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1.0]])
+    turned = moved(views, quarter, np.zeros(3))
+    np.testing.assert_allclose(turned.triangles.normals[..., 1], views.triangles.normals[..., 0], atol=1e-6)
+
+
+def test_ranks_share_each_global_batch_and_epochs_are_complete():
+    def batches(rank, ranks):
+        return list(GlobalBatches(scenes=6, seed=1, scenes_per_batch=4, batches=6, rank=rank, ranks=ranks))
+
+    whole = batches(0, 1)
+    parts = [batches(r, 4) for r in range(4)]
+    assert whole == [list(chain.from_iterable(part[i] for part in parts)) for i in range(6)]
+    draws = list(chain.from_iterable(whole))
+    for epoch in range(4):
+        assert sorted(index for e, index in draws if e == epoch) == list(range(6))
+    orders = [tuple(index for e, index in draws if e == epoch) for epoch in range(4)]
+    assert len(set(orders)) > 1
+
+
+def test_a_batch_that_does_not_divide_among_ranks_is_refused():
+    with pytest.raises(ValueError, match="5 scenes per step do not divide among 2 ranks"):
+        GlobalBatches(scenes=6, seed=1, scenes_per_batch=5, batches=1, ranks=2)
