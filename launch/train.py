@@ -32,8 +32,8 @@ def main(cfg: DictConfig) -> Path | None:
 
     config = OmegaConf.to_container(cfg, resolve=True)
     run_dir = Path(cfg.run_dir)
-    datamodule = instantiate(cfg.datamodule, _convert_="all")
     network = instantiate(cfg.model, _convert_="all")
+    datamodule = instantiate(cfg.datamodule, gbuffer_channels=network.gbuffer_channels, _convert_="all")
     loss = instantiate(cfg.loss)
     logger = False if cfg.trainer.fast_dev_run else instantiate(cfg.logger)
     info = CheckpointInfo(

@@ -41,12 +41,10 @@ class RayBundleEmbedding(nn.Module):
         self.token = nn.Parameter(0.02 * torch.randn(width))
 
     def forward(self, fov: Float[Tensor, " n"], gbuffer: Float[Tensor, "n c h w"]) -> Float[Tensor, "n patches width"]:
-        """Raises ValueError when the image does not divide into patches or the G-buffer has other channels."""
+        """Raises ValueError when the image does not divide into patches."""
         height, width = gbuffer.shape[-2:]
         if height % self.patch_size or width % self.patch_size:
             raise ValueError(f"{width}×{height} pixels do not divide into patches of {self.patch_size}")
-        if gbuffer.shape[1] != self.num_channels:
-            raise ValueError(f"{gbuffer.shape[1]} G-buffer channels where {self.gbuffer_channels} were expected")
         pixels = torch.cat([ray_directions(fov, height, width), gbuffer], dim=1)
         patches = F.pixel_unshuffle(pixels, self.patch_size).flatten(2).transpose(1, 2)  # [N, patches, (c row column)]
         return self.token + self.norm(self.proj(patches))
@@ -55,7 +53,9 @@ class RayBundleEmbedding(nn.Module):
 class CameraOrigin:
     """Ray tokens stand at the camera, the origin of camera space: position zero, nothing to rotate (the paper's)."""
 
-    def __call__(self, gbuffer: Tensor, embedding: RayBundleEmbedding) -> None:
+    channels: tuple[str, ...] = ()
+
+    def __call__(self, gbuffer: Float[Tensor, "n 0 h w"], patch_size: int) -> None:
         return None
 
 
@@ -63,22 +63,14 @@ class FirstHitPosition:
     """Ray tokens stand where their rays arrive: the patch's mean first-hit position, in camera space.
 
     Not in the paper. RSPE then gives each patch its position relative to every object and light, which from the
-    camera's origin it would have to work out. Needs the `position` channel in the G-buffer.
+    camera's origin it would have to work out.
     """
 
-    def __call__(
-        self, gbuffer: Float[Tensor, "n c h w"], embedding: RayBundleEmbedding
-    ) -> Float[Tensor, "n_patches 9"]:
+    #: What it needs of the G-buffer, besides what the tokens embed.
+    channels: tuple[str, ...] = ("position",)
+
+    def __call__(self, gbuffer: Float[Tensor, "n 3 h w"], patch_size: int) -> Float[Tensor, "n_patches 9"]:
         """[N · patches, 9] the mean position three times; zero where a patch hits nothing."""
-        start = 0
-        for name in embedding.gbuffer_channels:
-            if name == "position":
-                break
-            start += CHANNELS[name]
-        else:
-            raise ValueError("FirstHitPosition needs 'position' among the G-buffer channels")
-        position = gbuffer[:, start : start + 3]
-        hit = (position[:, 2:] < 0).float()  # what the camera sees lies at negative z
-        share = F.avg_pool2d(hit, embedding.patch_size)
-        mean = F.avg_pool2d(position, embedding.patch_size) / share.clamp(min=1e-6)
+        hit = (gbuffer[:, 2:] < 0).float()  # what the camera sees lies at negative z
+        mean = F.avg_pool2d(gbuffer, patch_size) / F.avg_pool2d(hit, patch_size).clamp(min=1e-6)
         return mean.flatten(2).transpose(1, 2).flatten(0, 1).repeat(1, 3)

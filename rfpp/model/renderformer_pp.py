@@ -67,7 +67,7 @@ class RenderFormerPP(nn.Module):
     @property
     def gbuffer_channels(self) -> tuple[str, ...]:
         """The G-buffer channels a batch must carry, in order."""
-        return self.decoder.rays.gbuffer_channels
+        return self.decoder.gbuffer_channels
 
     @property
     def patch_size(self) -> int:

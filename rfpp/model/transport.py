@@ -5,11 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import torch
+import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
 
 from rfpp.model.attention import AttentionPattern
-from rfpp.model.block import SelfBlock
+from rfpp.model.block import NORM_EPS, SelfBlock
 from rfpp.model.encoding import RelativeSpatialEncoding, Rotation
 from rfpp.model.tokenizer import SceneTokens
 
@@ -44,13 +45,16 @@ class UnconstrainedTransport(nn.Module):
 
 
 class EmissionEncoder(nn.Module):
-    """EEncode (paper, Sec. 3.1): one MLP gives F_e from tokens and emission, F_s from tokens and zeros."""
+    """EEncode (paper, Sec. 3.1): one MLP gives F_e from tokens and emission, F_s from tokens and zeros.
+
+    Both have root mean square 1 in every token, see TransportOperator.
+    """
 
     def __init__(self, width: int):
         super().__init__()
         self.emission_proj = nn.Linear(3, width, bias=False)  # no bias: no emission, exactly zero
         self.mlp = nn.Sequential(
-            nn.Linear(2 * width, width, bias=False), nn.SiLU(), nn.Linear(width, width, bias=False)
+            nn.Linear(2 * width, width, bias=False), nn.SiLU(), nn.Linear(width, width, bias=False), UnitRMS()
         )
 
     def forward(
@@ -63,19 +67,32 @@ class EmissionEncoder(nn.Module):
         return emitted, scattered
 
 
+class UnitRMS(nn.Module):
+    """x / √(mean x²) of each token: an RMS norm without a weight that training could shrink."""
+
+    def forward(self, x: Float[Tensor, "n width"]) -> Float[Tensor, "n width"]:
+        return F.rms_norm(x.float(), x.shape[-1:], eps=NORM_EPS)
+
+
 class TransportOperator(nn.Module):
-    """T: moves light once between the tokens of each scene."""
+    """T: moves light once between the tokens of each scene.
+
+    The transported features have root mean square 1. Where the paper is silent this is our choice: the consistency
+    loss could otherwise be lowered by shrinking all features, and was, until their weights drowned in the noise of
+    the optimizer.
+    """
 
     def __init__(self, width: int, heads: int, hidden: int, layers: int):
         super().__init__()
         self.blocks = nn.ModuleList(SelfBlock(width, heads, hidden) for _ in range(layers))
+        self.norm = UnitRMS()
 
     def forward(
         self, features: Float[Tensor, "n width"], pattern: AttentionPattern, rotation: Rotation
     ) -> Float[Tensor, "n width"]:
         for block in self.blocks:
             features = block(features, pattern, rotation)
-        return features
+        return self.norm(features)
 
 
 class PhysicsInformedTransport(nn.Module):

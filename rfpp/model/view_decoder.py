@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,11 +11,12 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from rfpp.batch import Segments
+from rfpp.gbuffer.first_hit import CHANNELS
 from rfpp.model.attention import AttentionPattern
 from rfpp.model.block import CrossAttention, RMSNorm, SelfAttention, SwiGLU
 from rfpp.model.dpt import LEVELS, DPTHead
 from rfpp.model.encoding import RelativeSpatialEncoding, Rotation, rotate
-from rfpp.model.ray_bundle import CameraOrigin, RayBundleEmbedding
+from rfpp.model.ray_bundle import CameraOrigin, FirstHitPosition, RayBundleEmbedding
 from rfpp.model.tokenizer import SceneTokens
 
 
@@ -43,13 +44,13 @@ class ViewDecoder(nn.Module):
         gbuffer_channels: Sequence[str],
         head_level_channels: Sequence[int],
         head_channels: int,
-        ray_position: Callable[[Tensor, RayBundleEmbedding], Tensor | None] | None = None,
+        ray_position: CameraOrigin | FirstHitPosition,
     ):
         super().__init__()
         if layers < LEVELS:
             raise ValueError(f"the image head reads the last {LEVELS} decoder layers, but there are {layers}")
         self.rays = RayBundleEmbedding(width, patch_size, gbuffer_channels)
-        self.ray_position = ray_position or CameraOrigin()
+        self.ray_position = ray_position
         self.position = RelativeSpatialEncoding(width // heads, frequencies)
         self.blocks = nn.ModuleList(DecoderBlock(width, heads, hidden) for _ in range(layers))
         self.head = DPTHead(width, head_level_channels, head_channels, patch_size)
@@ -63,12 +64,13 @@ class ViewDecoder(nn.Module):
     ) -> Float[Tensor, "b v 3 h w"]:
         """log10(1 + radiance) of every view of every scene."""
         batch, views, _, height, width = gbuffer.shape
-        rays = self.rays(fov.flatten(), gbuffer.flatten(0, 1))  # [B V, patches, D]
+        seen_first, position = self._split_channels(gbuffer.flatten(0, 1))
+        rays = self.rays(fov.flatten(), seen_first)  # [B V, patches, D]
         patches = rays.shape[1]
         in_view = Segments.from_lengths([patches] * (batch * views), rays.device)
         seen = SeenTokens.by(scene, c2w)
 
-        ray_points = self.ray_position(gbuffer.flatten(0, 1), self.rays)
+        ray_points = self.ray_position(position, self.rays.patch_size)
         ray_rotation = None if ray_points is None else self.position(ray_points)
         seen_rotation = self.position(seen.points)
         to_scene, among_rays = AttentionPattern(in_view, seen.segments), AttentionPattern(in_view)
@@ -81,6 +83,18 @@ class ViewDecoder(nn.Module):
         grid = (height // self.rays.patch_size, width // self.rays.patch_size)
         maps = [f.view(batch * views, *grid, -1).permute(0, 3, 1, 2) for f in features[-LEVELS:]]
         return self.head(maps, height, width).view(batch, views, 3, height, width)
+
+    @property
+    def gbuffer_channels(self) -> tuple[str, ...]:
+        """The channels a batch must carry, in order: those of the ray tokens, then those of their position."""
+        return (*self.rays.gbuffer_channels, *self.ray_position.channels)
+
+    def _split_channels(self, gbuffer: Float[Tensor, "n c h w"]) -> tuple[Tensor, Tensor]:
+        """(what ray tokens embed, what places them). Raises ValueError when there are other channels."""
+        sizes = [self.rays.num_channels, sum(CHANNELS[name] for name in self.ray_position.channels)]
+        if gbuffer.shape[1] != sum(sizes):
+            raise ValueError(f"{gbuffer.shape[1]} G-buffer channels where {self.gbuffer_channels} were expected")
+        return gbuffer.split(sizes, dim=1)
 
 
 class DecoderBlock(nn.Module):

@@ -16,7 +16,7 @@ VARIANTS = {
     "paper": (),
     "first-hit positions": (
         "model.decoder.ray_position._target_=rfpp.model.ray_bundle.FirstHitPosition",
-        "model.decoder.gbuffer_channels=[albedo,position,roughness]",
+        "model.decoder.gbuffer_channels=[albedo,roughness]",
     ),
 }
 

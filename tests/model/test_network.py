@@ -78,6 +78,15 @@ def test_transport_states_of_training_and_inference(batch, iterations):
     assert (residuals > 0).all()
 
 
+def test_transport_states_cannot_shrink(batch):
+    net = network().train()
+    with torch.no_grad():
+        for parameter in net.transport.parameters():
+            parameter.mul_(0.1)
+    for state in net(batch).transport_states:
+        torch.testing.assert_close(state.square().mean(-1), torch.ones(len(state)), rtol=1e-2, atol=1e-2)
+
+
 def test_consistency_residual_is_the_mean_square_and_vanishes_at_a_fixed_point():
     a, b = torch.zeros(4, 6), torch.full((4, 6), 0.5)
     torch.testing.assert_close(TransportConsistency()([a, b, b]), torch.tensor([0.25, 0.0]))

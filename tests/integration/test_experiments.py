@@ -1,0 +1,81 @@
+"""Every experiment composes, and runs a step of its own path on a CPU."""
+
+import math
+
+import pytest
+from hydra.utils import instantiate
+from omegaconf import OmegaConf
+from small_data import make
+
+from rfpp.entry import CONFIG_DIR
+
+EXPERIMENTS = sorted(path.stem for path in (CONFIG_DIR / "experiment").glob("*.yaml"))
+VERBS = ("generate", "train", "evaluate")
+GROUPS = ("scene", "reference", "data", "size", "model", "loss", "optimizer", "schedule", "datamodule", "trainer")
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory):
+    return make(tmp_path_factory.mktemp("data") / "small", splits={"train": 3, "validation": 1}).root
+
+
+@pytest.mark.parametrize("verb", VERBS)
+@pytest.mark.parametrize("experiment", EXPERIMENTS)
+def test_composes_for_every_verb_and_resolves(experiment, verb, composed):
+    cfg = composed(verb, f"+experiment={experiment}", "run_dir=unused", *(["checkpoint=x"] * (verb == "evaluate")))
+    OmegaConf.to_container(cfg, resolve=True, throw_on_missing=True)
+
+
+@pytest.mark.parametrize("group", GROUPS)
+def test_every_choice_of_a_group_composes(group, composed):
+    for choice in sorted(path.stem for path in (CONFIG_DIR / group).glob("*.yaml")):
+        OmegaConf.to_container(composed("train", f"{group}={choice}", "run_dir=unused"), resolve=True)
+
+
+@pytest.mark.parametrize("experiment", EXPERIMENTS)
+def test_fast_dev_run_on_a_cpu(experiment, composed, data, tmp_path):
+    from launch.train import main
+
+    cfg = composed(
+        "train", f"+experiment={experiment}", "+debug=cpu", "trainer.fast_dev_run=true", f"data.root={data}",
+        "data.resolution=8", "loss.lpips_weight=0", f"run_dir={tmp_path}",
+    )  # fmt: skip
+    assert main.__wrapped__(cfg) is None
+
+
+def test_large_scale_states_the_papers_settings(composed):
+    cfg = composed("train", "+experiment=large_scale", "run_dir=unused")
+    assert cfg.steps == cfg.trainer.max_steps == cfg.schedule.total_steps == 500_000
+    assert cfg.datamodule.scenes_per_step * cfg.datamodule.views_per_scene == 32
+    assert (cfg.trainer.devices, cfg.trainer.strategy, cfg.trainer.precision) == (8, "ddp", "bf16-mixed")
+    assert cfg.model.transport.iterations == 3
+    assert cfg.model.tokenizer.queries == 8
+    assert cfg.model.decoder.patch_size == 4
+    assert list(cfg.model.decoder.gbuffer_channels) == ["albedo", "normal", "roughness"]
+    assert (cfg.loss.l1_weight, cfg.loss.lpips_weight, cfg.loss.consistency_weight) == (1.0, 0.05, 0.1)
+    assert cfg.loss.lpips_images_per_step is None
+    assert (cfg.data.resolution, cfg.data.views, cfg.reference.samples) == (256, 4, 4096)
+    optimizer = instantiate(cfg.optimizer)
+    assert optimizer.keywords["lr"] == 1e-4
+    assert math.isclose(optimizer.keywords["weight_decay"], 0.01)
+
+
+def test_training_twice_gives_the_same_losses(composed, data, tmp_path):
+    from mlflow.tracking import MlflowClient
+
+    from launch.train import main
+    from rfpp.inference.checkpoint import load_network
+
+    def losses(name: str) -> list[float]:
+        cfg = composed(
+            "train", "+experiment=quickstart", "+debug=cpu", f"data.root={data}", "data.resolution=8", "steps=6",
+            "trainer.val_check_interval=6", "loss.lpips_weight=0", f"run_dir={tmp_path}/{name}",
+            f"logger.folder={tmp_path}",
+        )  # fmt: skip
+        run = load_network(main.__wrapped__(cfg))[1].mlflow_run_id
+        history = MlflowClient(f"sqlite:///{tmp_path}/mlflow.db").get_metric_history(run, "train/loss")
+        return [metric.value for metric in history]
+
+    first = losses("one")
+    assert len(first) == 6
+    assert first == losses("two")
