@@ -25,6 +25,13 @@ def model_config(*overrides: str) -> dict:
 
 
 def network(*overrides: str, seed: int = 0) -> RenderFormerPP:
-    """A freshly initialised network in evaluation mode, the same for the same seed."""
+    """An untrained network in evaluation mode, the same for the same seed.
+
+    Its weights are larger than those of a fresh one, so that every input shows clearly in the image.
+    """
     torch.manual_seed(seed)
-    return instantiate(model_config(*overrides), _convert_="all").eval()
+    net = instantiate(model_config(*overrides), _convert_="all").eval()
+    for part in net.modules():
+        if isinstance(part, torch.nn.Linear):
+            torch.nn.init.normal_(part.weight, std=1.5 * part.in_features**-0.5)
+    return net

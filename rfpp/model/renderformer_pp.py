@@ -13,10 +13,6 @@ from rfpp.model.transport import PhysicsInformedTransport, Transported, Unconstr
 from rfpp.model.triangle_embedding import TriangleEmbedding
 from rfpp.model.view_decoder import ViewDecoder
 
-#: Of linear layers. Small, so that the first transport states hardly differ and their consistency loss starts low.
-INITIAL_STD = 0.02
-
-
 @dataclass(frozen=True)
 class Rendering:
     """What the network makes of a batch.
@@ -48,11 +44,6 @@ class RenderFormerPP(nn.Module):
         self.tokenizer = tokenizer
         self.transport = transport
         self.decoder = decoder
-        for part in self.modules():
-            if isinstance(part, nn.Linear):
-                nn.init.trunc_normal_(part.weight, std=INITIAL_STD)
-                if part.bias is not None:
-                    nn.init.zeros_(part.bias)
 
     def forward(self, batch: RaggedBatch) -> Rendering:
         scene = self.encode(batch)

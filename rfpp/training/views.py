@@ -10,8 +10,8 @@ from scipy.spatial.transform import Rotation
 from torch.utils.data import Dataset, Sampler
 
 from rfpp.batch import SceneViews
-from rfpp.gbuffer.first_hit import stack_channels
-from rfpp.scene.triangles import SceneTriangles
+from rfpp.gbuffer.first_hit import CHANNELS, stack_channels
+from rfpp.scene.triangles import DIFFUSE, EMISSION, SPECULAR, SceneTriangles
 from rfpp.shards.sample import SceneSample
 from rfpp.shards.stream import EpochSampler, ShardSplit
 
@@ -65,6 +65,38 @@ def moved(views: SceneViews, rotation: np.ndarray, translation: np.ndarray) -> S
     return replace(views, triangles=triangles, c2w=(move @ views.c2w).astype(np.float32))
 
 
+@dataclass(frozen=True)
+class LightAugmentation:
+    """Two exact symmetries of light transport that make a small data set larger.
+
+    Light is linear: all lights brighter by a factor, the image brighter by the same. And the colour channels do not
+    mix: red, green and blue may trade places everywhere at once. Not in the paper, whose data set is a thousand times
+    quickstart's; without them a network soon remembers scenes by their colours instead of computing their light.
+
+    Args:
+        stops: the factor is 2^u with u uniform in [-stops, stops].
+        permute_rgb: whether to exchange the colour channels.
+    """
+
+    stops: float
+    permute_rgb: bool
+
+    def __call__(self, views: SceneViews, channels: Sequence[str], rng: np.random.Generator) -> SceneViews:
+        factor = np.float32(2.0 ** rng.uniform(-self.stops, self.stops))
+        order = rng.permutation(3) if self.permute_rgb else np.arange(3)
+        material = views.triangles.material.copy()
+        for colour in (DIFFUSE, SPECULAR, EMISSION):
+            material[:, colour] = material[:, colour][:, order]
+        material[:, EMISSION] *= factor
+        gbuffer, start = views.gbuffer.copy(), 0
+        for name in channels:
+            if name in ("albedo", "specular"):
+                gbuffer[:, start : start + 3] = gbuffer[:, start : start + 3][:, order]
+            start += CHANNELS[name]
+        triangles = replace(views.triangles, material=material)
+        return replace(views, triangles=triangles, gbuffer=gbuffer, image=views.image[:, order] * factor)
+
+
 class TrainingViews(Dataset):
     """Random views of a split's scenes, a pure function of (seed, epoch, scene).
 
@@ -72,7 +104,7 @@ class TrainingViews(Dataset):
         split: stored scenes.
         channels: G-buffer channels.
         views_per_scene: views drawn without replacement from each scene's.
-        augmentation: applied to each draw, or None.
+        rigid, light: augmentations applied to each draw, or None.
         seed: of the draws.
     """
 
@@ -81,11 +113,12 @@ class TrainingViews(Dataset):
         split: ShardSplit,
         channels: Sequence[str],
         views_per_scene: int,
-        augmentation: RigidAugmentation | None,
+        rigid: RigidAugmentation | None,
+        light: LightAugmentation | None,
         seed: int,
     ):
         self.split, self.channels = split, tuple(channels)
-        self.views_per_scene, self.augmentation, self.seed = views_per_scene, augmentation, seed
+        self.views_per_scene, self.rigid, self.light, self.seed = views_per_scene, rigid, light, seed
 
     def __getitem__(self, draw: tuple[int, int]) -> SceneViews:
         epoch, index = draw
@@ -93,7 +126,11 @@ class TrainingViews(Dataset):
         sample = self.split[index]
         views = rng.permutation(len(sample.fov))[: self.views_per_scene].tolist()
         chosen = select_views(sample, views, self.channels)
-        return self.augmentation(chosen, rng) if self.augmentation else chosen
+        if self.rigid:
+            chosen = self.rigid(chosen, rng)
+        if self.light:
+            chosen = self.light(chosen, self.channels, rng)
+        return chosen
 
 
 class AllViews(Dataset):

@@ -7,8 +7,17 @@ import pytest
 from small_data import make
 
 from rfpp.gbuffer.first_hit import first_hit, stack_channels
+from rfpp.scene.triangles import DIFFUSE, EMISSION, SPECULAR
 from rfpp.shards.stream import ShardSplit
-from rfpp.training.views import AllViews, GlobalBatches, RigidAugmentation, TrainingViews, moved, select_views
+from rfpp.training.views import (
+    AllViews,
+    GlobalBatches,
+    LightAugmentation,
+    RigidAugmentation,
+    TrainingViews,
+    moved,
+    select_views,
+)
 
 CHANNELS = ("albedo", "normal", "position")
 
@@ -29,18 +38,18 @@ def test_selected_views_are_the_stored_ones(split):
 
 def test_a_draw_depends_on_seed_epoch_and_scene_only(split):
     augmentation = RigidAugmentation(rotation=1.0, translation=0.25)
-    first, again = (TrainingViews(split, CHANNELS, 1, augmentation, seed=3)[5, 2] for _ in range(2))
+    first, again = (TrainingViews(split, CHANNELS, 1, augmentation, None, seed=3)[5, 2] for _ in range(2))
     np.testing.assert_array_equal(first.triangles.positions, again.triangles.positions)
     np.testing.assert_array_equal(first.image, again.image)
     for other in (
-        TrainingViews(split, CHANNELS, 1, augmentation, seed=4)[5, 2],
-        TrainingViews(split, CHANNELS, 1, augmentation, seed=3)[6, 2],
+        TrainingViews(split, CHANNELS, 1, augmentation, None, seed=4)[5, 2],
+        TrainingViews(split, CHANNELS, 1, augmentation, None, seed=3)[6, 2],
     ):
         assert not np.allclose(first.triangles.positions, other.triangles.positions)
 
 
 def test_all_views_of_a_scene_come_up(split):
-    images = {TrainingViews(split, CHANNELS, 1, None, seed=0)[epoch, 0].image.tobytes() for epoch in range(20)}
+    images = {TrainingViews(split, CHANNELS, 1, None, None, seed=0)[epoch, 0].image.tobytes() for epoch in range(20)}
     assert len(images) == 2
 
 
@@ -99,3 +108,32 @@ def test_ranks_share_each_global_batch_and_epochs_are_complete():
 def test_a_batch_that_does_not_divide_among_ranks_is_refused():
     with pytest.raises(ValueError, match="5 scenes per step do not divide among 2 ranks"):
         GlobalBatches(scenes=6, seed=1, scenes_per_batch=5, batches=1, ranks=2)
+
+
+def test_brighter_lights_make_a_brighter_image_and_nothing_else(split):
+    views = AllViews(split, CHANNELS)[0]
+    brighter = LightAugmentation(stops=1.0, permute_rgb=False)(views, CHANNELS, np.random.default_rng(3))
+    factor = brighter.image.sum() / views.image.sum()
+    assert 0.5 <= factor <= 2
+    assert abs(factor - 1) > 0.05
+    np.testing.assert_allclose(brighter.image, factor * views.image, rtol=1e-4)
+    np.testing.assert_allclose(
+        brighter.triangles.material[:, EMISSION], factor * views.triangles.material[:, EMISSION], rtol=1e-4
+    )
+    np.testing.assert_array_equal(brighter.triangles.material[:, :7], views.triangles.material[:, :7])
+    np.testing.assert_array_equal(brighter.gbuffer, views.gbuffer)
+
+
+def test_colour_channels_trade_places_everywhere_at_once(split):
+    views = AllViews(split, CHANNELS)[0]
+    rng = np.random.default_rng(0)
+    for _ in range(8):
+        swapped = LightAugmentation(stops=0.0, permute_rgb=True)(views, CHANNELS, rng)
+        order = [int(np.argmax(np.isclose(swapped.image[0, c], views.image[0]).all((1, 2)))) for c in range(3)]
+        assert sorted(order) == [0, 1, 2]
+        for columns in (DIFFUSE, SPECULAR, EMISSION):
+            before, after = (v.triangles.material[:, columns] for v in (views, swapped))
+            np.testing.assert_array_equal(after, before[:, order])
+        np.testing.assert_array_equal(swapped.gbuffer[:, :3], views.gbuffer[:, order])
+        np.testing.assert_array_equal(swapped.gbuffer[:, 3:], views.gbuffer[:, 3:])
+        np.testing.assert_array_equal(swapped.triangles.material[:, 6], views.triangles.material[:, 6])
