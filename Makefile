@@ -22,9 +22,9 @@ $(VENV)/.installed: pyproject.toml requirements.lock launch/install.sh
 quickstart: install
 	$(RUN) launch/generate.py $(EXPERIMENT)
 	$(RUN) launch/train.py $(EXPERIMENT)
-	$(RUN) launch/evaluate.py $(EXPERIMENT) checkpoint=$(LATEST)/checkpoints/best.ckpt
 	$(RUN) launch/render.py scene=data/scenes/cornell_box.json checkpoint=$(LATEST)/checkpoints/best.ckpt \
 		output=data/renders reference=true
+	$(RUN) launch/evaluate.py $(EXPERIMENT) checkpoint=$(LATEST)/checkpoints/best.ckpt
 	@echo
 	@echo "Pictures        data/renders/cornell_box_0_comparison.png, $(LATEST)/evaluation/*.png"
 	@echo "Metrics         $(LATEST)/evaluation/summary.csv"

@@ -11,6 +11,7 @@ from pathlib import Path
 import lightning as L
 import torch
 from hydra.utils import instantiate
+from lightning.pytorch.loggers.logger import DummyLogger
 from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
 
@@ -35,14 +36,15 @@ def main(cfg: DictConfig) -> Path | None:
     network = instantiate(cfg.model, _convert_="all")
     datamodule = instantiate(cfg.datamodule, gbuffer_channels=network.gbuffer_channels, _convert_="all")
     loss = instantiate(cfg.loss)
-    logger = False if cfg.trainer.fast_dev_run else instantiate(cfg.logger)
+    tracked = not cfg.trainer.fast_dev_run
+    logger = instantiate(cfg.logger) if tracked else DummyLogger()
     info = CheckpointInfo(
         model=config["model"],
         resolution=(cfg.data.resolution, cfg.data.resolution),
         data_manifest=datamodule.manifest.hash,
         commit=code_version(),
-        mlflow_run_id=logger.run_id if logger else None,
-        mlflow_tracking_uri=logger.experiment.tracking_uri if logger else None,
+        mlflow_run_id=logger.run_id if tracked else None,
+        mlflow_tracking_uri=logger.experiment.tracking_uri if tracked else None,
     )
     module = RenderingModule(
         network, loss, ImageMetrics(lpips=None), instantiate(cfg.optimizer), instantiate(cfg.schedule), info
@@ -51,13 +53,13 @@ def main(cfg: DictConfig) -> Path | None:
 
     if trainer.is_global_zero:
         console.print(start_summary(cfg, network, datamodule))
-    if logger and trainer.is_global_zero:
+    if tracked and trainer.is_global_zero:
         config_file = write_config(cfg, run_dir)
         point_latest_at(run_dir)
         tags = {"code_version": info.commit or "unknown", "data_manifest": info.data_manifest, "run_dir": str(run_dir)}
         describe_run(logger, config, config_file, tags)
     trainer.fit(module, datamodule, ckpt_path=cfg.checkpoint, weights_only=True)
-    if not logger:
+    if not tracked:
         return None
     best = Path(trainer.checkpoint_callback.best_model_path)
     console.print(f"Best checkpoint: {best}\nMLflow run: {logger.run_id} in {info.mlflow_tracking_uri}")

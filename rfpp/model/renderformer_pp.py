@@ -13,6 +13,7 @@ from rfpp.model.transport import PhysicsInformedTransport, Transported, Unconstr
 from rfpp.model.triangle_embedding import TriangleEmbedding
 from rfpp.model.view_decoder import ViewDecoder
 
+
 @dataclass(frozen=True)
 class Rendering:
     """What the network makes of a batch.

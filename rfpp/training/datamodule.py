@@ -64,7 +64,7 @@ class SceneDataModule(L.LightningDataModule):
         devices = trainer.world_size
         if self.scenes_per_step % devices:
             raise UserError(
-                f"training.scenes_per_step={self.scenes_per_step} does not divide among {devices} devices: "
+                f"datamodule.scenes_per_step={self.scenes_per_step} does not divide among {devices} devices: "
                 "choose a multiple"
             )
         batches = GlobalBatches(

@@ -42,7 +42,7 @@ class ImagePanels(L.Callback):
             self._shown.append(tuple(v.float().permute(1, 2, 0).cpu().numpy() for v in views))
 
     def on_validation_end(self, trainer: L.Trainer, module: L.LightningModule) -> None:
-        if not (trainer.is_global_zero and self._shown and trainer.loggers):
+        if trainer.fast_dev_run or not (trainer.is_global_zero and self._shown):
             return
         references, predictions, albedos = zip(*self._shown, strict=True)
         sheet = panel(
