@@ -16,10 +16,11 @@ from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
 
 from rfpp import Renderer, Scene
-from rfpp.entry import entry_point, required
+from rfpp.entry import CONFIG_DIR, entry_point, required
 from rfpp.errors import UserError
 from rfpp.exr import write_exr
 from rfpp.panels import error_map, panel, save_png, tone_mapped
+from rfpp.reference.cycles import CyclesSettings
 from rfpp.reference.cycles import render as path_trace
 from rfpp.reference.farm import RenderFarm
 from rfpp.scene.camera import camera_to_world
@@ -27,7 +28,7 @@ from rfpp.scene.triangles import SceneTriangles
 from rfpp.training.run import write_config
 
 
-@entry_point("render")
+@entry_point("render", CONFIG_DIR / "render")
 def main(cfg: DictConfig) -> list[Path]:
     """Render `cfg.scene` with `cfg.checkpoint`; returns the EXR files, one for each camera."""
     console = Console(highlight=False, soft_wrap=True)
@@ -43,7 +44,8 @@ def main(cfg: DictConfig) -> list[Path]:
     for image, target in zip(images, targets, strict=True):
         write_pictures(image, target)
     if cfg.reference:
-        references = reference_images(scene, height, width, cfg.reference_settings, console)
+        settings = OmegaConf.load(CONFIG_DIR / "reference" / f"{cfg.reference_settings}.yaml")
+        references = reference_images(scene, height, width, instantiate(settings), console)
         for image, reference, target in zip(images, references, targets, strict=True):
             write_pictures(reference, target.with_name(f"{target.stem}_reference.exr"))
             columns = {
@@ -81,11 +83,11 @@ def write_pictures(radiance: np.ndarray, target: Path) -> None:
     save_png(tone_mapped(radiance), target.with_suffix(".png"))
 
 
-def reference_images(scene: Scene, height: int, width: int, settings: DictConfig, console: Console) -> np.ndarray:
+def reference_images(scene: Scene, height: int, width: int, settings: CyclesSettings, console: Console) -> np.ndarray:
     """The same views path-traced by Blender Cycles, in a worker process of its own."""
     c2w = np.stack([camera_to_world(camera) for camera in scene.cameras])
     fov = np.array([camera.fov for camera in scene.cameras], dtype=np.float32)
-    job = partial(path_trace, c2w=c2w, fov=fov, height=height, width=width, settings=instantiate(settings))
+    job = partial(path_trace, c2w=c2w, fov=fov, height=height, width=width, settings=settings)
     begin = time.perf_counter()
     with console.status(f"Path tracing {len(fov)} views at {settings.samples} samples …"), RenderFarm(1) as farm:
         [(_, images)] = farm.map(job, [SceneTriangles.from_scene(scene)])

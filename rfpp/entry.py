@@ -25,8 +25,10 @@ NO_SPACE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 CONFIG_DIR = Path(__file__).resolve().parents[1] / "conf"
 
 
-def entry_point(config_name: str) -> Callable[[Callable[[DictConfig], Result]], Callable[[], Result]]:
-    """Decorate `task(cfg)` into a command that composes `conf/<config_name>.yaml` and the command line.
+def entry_point(
+    config_name: str, config_dir: Path = CONFIG_DIR
+) -> Callable[[Callable[[DictConfig], Result]], Callable[[], Result]]:
+    """Decorate `task(cfg)` into a command that composes `<config_dir>/<config_name>.yaml` and the command line.
 
     A `UserError` is printed as one line on stderr and the process exits with status 1. The undecorated task
     stays available as `command.__wrapped__` for callers that have composed a config themselves.
@@ -50,7 +52,7 @@ def entry_point(config_name: str) -> Callable[[Callable[[DictConfig], Result]], 
                 where = error.filename or "while writing"
                 _fail(UserError(f"{where}: {error.strerror}: free some space and run the same command again"))
 
-        return hydra.main(version_base="1.3", config_path=str(CONFIG_DIR), config_name=config_name)(reporting)
+        return hydra.main(version_base="1.3", config_path=str(config_dir), config_name=config_name)(reporting)
 
     return decorate
 
