@@ -49,7 +49,10 @@ def main(cfg: DictConfig) -> Path | None:
     module = RenderingModule(
         network, loss, ImageMetrics(lpips=None), instantiate(cfg.optimizer), instantiate(cfg.schedule), info
     )
-    trainer = instantiate(cfg.trainer, logger=logger, callbacks=list(instantiate(cfg.callbacks).values()))
+    # made in two steps, because Hydra would take a logger for a configuration
+    trainer = instantiate(cfg.trainer, _partial_=True)(
+        logger=logger, callbacks=list(instantiate(cfg.callbacks).values())
+    )
 
     if trainer.is_global_zero:
         console.print(start_summary(cfg, network, datamodule))

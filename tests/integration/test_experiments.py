@@ -38,7 +38,7 @@ def test_fast_dev_run_on_a_cpu(experiment, composed, data, tmp_path):
 
     cfg = composed(
         "train", f"+experiment={experiment}", "+debug=cpu", "trainer.fast_dev_run=true", f"data.root={data}",
-        "data.resolution=8", "loss.lpips_weight=0", f"run_dir={tmp_path}",
+        "data.resolution=8", "loss.lpips_weight=0.0", f"run_dir={tmp_path}",
     )  # fmt: skip
     assert main.__wrapped__(cfg) is None
 
@@ -69,7 +69,7 @@ def test_training_twice_gives_the_same_losses(composed, data, tmp_path):
     def losses(name: str) -> list[float]:
         cfg = composed(
             "train", "+experiment=quickstart", "+debug=cpu", f"data.root={data}", "data.resolution=8", "steps=6",
-            "trainer.val_check_interval=6", "loss.lpips_weight=0", f"run_dir={tmp_path}/{name}",
+            "trainer.val_check_interval=6", "loss.lpips_weight=0.0", f"run_dir={tmp_path}/{name}",
             f"logger.folder={tmp_path}",
         )  # fmt: skip
         run = load_network(main.__wrapped__(cfg))[1].mlflow_run_id

@@ -27,7 +27,7 @@ def trained(tmp_path_factory, composed, rendered_data):
     cfg = composed(
         "train", "+experiment=quickstart", "+debug=cpu", f"data.root={rendered_data}", "steps=12",
         f"run_dir={folder}/quickstart/one", f"logger.folder={folder}", "trainer.val_check_interval=6",
-        "callbacks.panels.scenes=1", "loss.lpips_weight=0", "schedule.warmup_steps=2",
+        "callbacks.panels.scenes=1", "loss.lpips_weight=0.0", "schedule.warmup_steps=2",
     )  # fmt: skip
     checkpoint = main.__wrapped__(cfg)
     return checkpoint, folder / "quickstart" / "one", MlflowClient(f"sqlite:///{folder}/mlflow.db")
@@ -109,7 +109,7 @@ def test_training_refuses_a_damaged_shard_and_names_it(trained, composed, render
     content[len(content) // 2] ^= 1
     (root / shard).write_bytes(content)
     cfg = composed(
-        "train", "+experiment=quickstart", "+debug=cpu", f"data.root={root}", "loss.lpips_weight=0",
+        "train", "+experiment=quickstart", "+debug=cpu", f"data.root={root}", "loss.lpips_weight=0.0",
         "trainer.fast_dev_run=8",
     )  # fmt: skip
     with pytest.raises(SystemExit) as stop:
