@@ -187,10 +187,9 @@ def test_denoising_comes_nearer_to_the_truth(in_blender, view):
     assert relative_error(image(samples=64, denoise=False), truth) < 0.5 * noisy
 
 
-def test_images_are_finite_and_exact_in_half_precision(in_blender, view):
+def test_images_are_finite_float32_of_the_requested_size(in_blender, view):
     image = in_blender(render, still_life(), one(view), one(40), 24, 32, settings())
     assert image.shape == (1, 24, 32, 3) and image.dtype == np.float32 and np.isfinite(image).all()
-    np.testing.assert_array_equal(image, image.astype(np.float16).astype(np.float32))
 
 
 def test_broken_geometry_is_refused_by_name(in_blender, view):
