@@ -23,13 +23,15 @@ def data(tmp_path_factory):
 @pytest.mark.parametrize("experiment", EXPERIMENTS)
 def test_composes_for_every_verb_and_resolves(experiment, verb, composed):
     cfg = composed(verb, f"+experiment={experiment}", "run_dir=unused", *(["checkpoint=x"] * (verb == "evaluate")))
-    OmegaConf.to_container(cfg, resolve=True, throw_on_missing=True)
+    resolved = OmegaConf.to_container(cfg, resolve=True, throw_on_missing=True)
+    assert resolved["data"]["name"] == resolved["name"] == experiment
 
 
 @pytest.mark.parametrize("group", GROUPS)
 def test_every_choice_of_a_group_composes(group, composed):
     for choice in sorted(path.stem for path in (CONFIG_DIR / group).glob("*.yaml")):
-        OmegaConf.to_container(composed("train", f"{group}={choice}", "run_dir=unused"), resolve=True)
+        cfg = composed("train", f"{group}={choice}", "run_dir=unused")
+        assert OmegaConf.to_container(cfg[group], resolve=True)
 
 
 @pytest.mark.parametrize("experiment", EXPERIMENTS)
