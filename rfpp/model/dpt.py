@@ -94,8 +94,7 @@ class ResidualConvUnit(nn.Module):
 class _ELU(torch.autograd.Function):
     """ELU(α = 10⁻³), RenderFormer's output, whose gradient does not die below zero.
 
-    There the true slope is α at most, so a pixel that has turned black would need a thousand times as many steps to
-    come back; whole networks have stayed black. A gradient that asks for more light is therefore passed on undamped.
+    There the true slope is α at most, so a pixel that has turned black would hardly come back. A gradient that asks for more light is therefore passed on undamped.
     """
 
     ALPHA = 1e-3

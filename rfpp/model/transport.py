@@ -78,8 +78,7 @@ class TransportOperator(nn.Module):
     """T: moves light once between the tokens of each scene.
 
     The transported features have root mean square 1. Where the paper is silent this is our choice: the consistency
-    loss could otherwise be lowered by shrinking all features, and was, until their weights drowned in the noise of
-    the optimizer.
+    loss could otherwise be lowered by shrinking all features.
     """
 
     def __init__(self, width: int, heads: int, hidden: int, layers: int):

@@ -70,8 +70,8 @@ class LightAugmentation:
     """Two exact symmetries of light transport that make a small data set larger.
 
     Light is linear: all lights brighter by a factor, the image brighter by the same. And the colour channels do not
-    mix: red, green and blue may trade places everywhere at once. Not in the paper, whose data set is a thousand times
-    quickstart's; without them a network soon remembers scenes by their colours instead of computing their light.
+    mix: red, green and blue may trade places everywhere at once. Not in the paper, whose data set is two thousand
+    times quickstart's.
 
     Args:
         stops: the factor is 2^u with u uniform in [-stops, stops].
