@@ -94,7 +94,8 @@ class ResidualConvUnit(nn.Module):
 class _ELU(torch.autograd.Function):
     """ELU(α = 10⁻³), RenderFormer's output, whose gradient does not die below zero.
 
-    There the true slope is α at most, so a pixel that has turned black would hardly come back. A gradient that asks for more light is therefore passed on undamped.
+    There the true slope is α at most, so a pixel that has turned black would hardly come back. A gradient that asks
+    for more light is therefore passed on undamped.
     """
 
     ALPHA = 1e-3
