@@ -149,6 +149,12 @@ class RaggedBatch:
         a, b, c = self.positions.unbind(1)
         return 0.5 * torch.linalg.vector_norm(torch.linalg.cross(b - a, c - a), dim=-1)
 
+    def dimmed(self, factor: Float[Tensor, " b"]) -> RaggedBatch:
+        """Every scene's emitted radiance divided by its factor; images stay as they are."""
+        per_triangle = factor[self.scenes.index][self.objects.index]
+        material = torch.cat([self.material[:, :7], self.material[:, 7:10] / per_triangle[:, None]], dim=-1)
+        return replace(self, material=material)
+
     def to(self, device: torch.device | str, **kwargs) -> RaggedBatch:
         moved = {}
         for field in fields(self):

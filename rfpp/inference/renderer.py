@@ -79,10 +79,10 @@ class Renderer:
             stack_channels(g, triangles.material, float(f), channels) for g, f in zip(gbuffers, fov, strict=True)
         ]
         batch = RaggedBatch.pack([SceneViews(key, triangles, c2w, fov, np.stack(stacked))]).to(self.device)
-        scene = self.network.encode(batch).tokens
+        scene = self.network.encode(batch)
         # one view at a time: the memory of a large image, not of all of them
         images = [
-            self.network.decoder(scene, batch.c2w[:, v : v + 1], batch.fov[:, v : v + 1], batch.gbuffer[:, v : v + 1])
+            self.network.view(scene, batch.c2w[:, v : v + 1], batch.fov[:, v : v + 1], batch.gbuffer[:, v : v + 1])
             for v in range(batch.num_views)
         ]
         return log_decode(torch.cat(images, dim=1))[0].permute(0, 2, 3, 1).clamp_min(0).cpu().numpy()

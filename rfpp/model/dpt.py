@@ -15,7 +15,7 @@ INITIAL_LOG_RADIANCE = 0.1
 
 
 class DPTHead(nn.Module):
-    """Four feature maps of the patch grid → log10(1 + radiance) at pixel resolution.
+    """Four feature maps of the patch grid → maps of log10(1 + something non-negative) at pixel resolution.
 
     The maps are resampled to 4, 2, 1 and 1/2 times the patch grid: with 4×4 patches the finest is exactly the
     image, with RenderFormer's 8×8 it is half of it; never above it.
@@ -25,9 +25,10 @@ class DPTHead(nn.Module):
         level_channels: channels of the four resampled maps, finest first.
         channels: channels of the fused maps.
         patch_size: pixels along a patch's side, at least 4.
+        maps: how many to give.
     """
 
-    def __init__(self, width: int, level_channels: Sequence[int], channels: int, patch_size: int):
+    def __init__(self, width: int, level_channels: Sequence[int], channels: int, patch_size: int, maps: int):
         super().__init__()
         if patch_size < 4:
             raise ValueError(f"patches of {patch_size} pixels: the head's finest level would exceed the image")
@@ -45,13 +46,13 @@ class DPTHead(nn.Module):
         self.fuse = nn.ModuleList(FusionBlock(channels, has_skip=level < LEVELS - 1) for level in range(LEVELS))
         self.smooth = nn.Conv2d(channels, channels // 2, 3, padding=1)
         self.out = nn.Sequential(
-            nn.Conv2d(channels // 2, channels // 4, 3, padding=1), nn.SiLU(), nn.Conv2d(channels // 4, 3, 1)
+            nn.Conv2d(channels // 2, channels // 4, 3, padding=1), nn.SiLU(), nn.Conv2d(channels // 4, maps, 1)
         )
         nn.init.constant_(self.out[-1].bias, INITIAL_LOG_RADIANCE)
 
     def forward(
         self, features: Sequence[Float[Tensor, "n c h w"]], height: int, width: int
-    ) -> Float[Tensor, "n 3 height width"]:
+    ) -> Float[Tensor, "n maps height width"]:
         levels = [
             common(resample(project(f)))
             for f, project, resample, common in zip(features, self.project, self.resample, self.to_common, strict=True)

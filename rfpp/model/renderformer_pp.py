@@ -8,10 +8,12 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from rfpp.batch import RaggedBatch
-from rfpp.model.tokenizer import ObjectTokens, TriangleTokens
-from rfpp.model.transport import PhysicsInformedTransport, Transported, UnconstrainedTransport
+from rfpp.model.exposure import ArrivingLight, UnitExposure
+from rfpp.model.tokenizer import ObjectTokens, SceneTokens, TriangleTokens
+from rfpp.model.transport import PhysicsInformedTransport, UnconstrainedTransport
 from rfpp.model.triangle_embedding import TriangleEmbedding
 from rfpp.model.view_decoder import ViewDecoder
+from rfpp.radiance import log_encode
 
 
 @dataclass(frozen=True)
@@ -27,6 +29,21 @@ class Rendering:
     transport_states: tuple[Float[Tensor, "n width"], ...]
 
 
+@dataclass(frozen=True)
+class EncodedScenes:
+    """What the view-independent stage makes of B scenes.
+
+    Attributes:
+        tokens: the scene tokens with global illumination in their features.
+        exposure: [B] radiance that the tokens call 1.
+        transport_states: see Transported.states.
+    """
+
+    tokens: SceneTokens
+    exposure: Float[Tensor, " b"]
+    transport_states: tuple[Float[Tensor, "n width"], ...]
+
+
 class RenderFormerPP(nn.Module):
     """Triangles → tokens → light transport → views.
 
@@ -39,22 +56,38 @@ class RenderFormerPP(nn.Module):
         tokenizer: ObjectTokens | TriangleTokens,
         transport: PhysicsInformedTransport | UnconstrainedTransport,
         decoder: ViewDecoder,
+        exposure: UnitExposure | ArrivingLight,
     ):
         super().__init__()
         self.embedding = embedding
         self.tokenizer = tokenizer
         self.transport = transport
         self.decoder = decoder
+        self.exposure = exposure
 
     def forward(self, batch: RaggedBatch) -> Rendering:
-        scene = self.encode(batch)
-        return Rendering(self.decoder(scene.tokens, batch.c2w, batch.fov, batch.gbuffer), scene.states)
+        scenes = self.encode(batch)
+        return Rendering(self.view(scenes, batch.c2w, batch.fov, batch.gbuffer), scenes.transport_states)
 
-    def encode(self, batch: RaggedBatch) -> Transported:
+    def encode(self, batch: RaggedBatch) -> EncodedScenes:
         """The view-independent stage: once per scene, whatever the number of views."""
+        exposure = self.exposure(batch)
+        batch = batch.dimmed(exposure)
         triangles = self.embedding(batch)
         tokens = self.tokenizer(triangles, batch)
-        return self.transport(tokens)
+        transported = self.transport(tokens)
+        return EncodedScenes(transported.tokens, exposure, transported.states)
+
+    def view(
+        self,
+        scenes: EncodedScenes,
+        c2w: Float[Tensor, "b v 4 4"],
+        fov: Float[Tensor, "b v"],
+        gbuffer: Float[Tensor, "b v c h w"],
+    ) -> Float[Tensor, "b v 3 h w"]:
+        """The view-dependent stage: log10(1 + radiance) of V views of each scene, float32."""
+        radiance = self.decoder(scenes.tokens, c2w, fov, gbuffer)
+        return log_encode(scenes.exposure[:, None, None, None, None] * radiance)
 
     @property
     def gbuffer_channels(self) -> tuple[str, ...]:

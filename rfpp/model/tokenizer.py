@@ -109,6 +109,11 @@ def object_anchors(batch: RaggedBatch) -> Float[Tensor, "o 9"]:
 
 def mean_by_object(values: Float[Tensor, "m c"], batch: RaggedBatch) -> Float[Tensor, "o c"]:
     """Area-weighted mean of per-triangle values over each object."""
-    weighted = torch.cat([values * batch.areas[:, None], batch.areas[:, None]], dim=-1)
-    sums = weighted.new_zeros(len(batch.objects), weighted.shape[1]).index_add(0, batch.objects.index, weighted)
-    return sums[:, :-1] / sums[:, -1:]
+    weighted = values * batch.areas[:, None]
+    sums = weighted.new_zeros(len(batch.objects), values.shape[1]).index_add(0, batch.objects.index, weighted)
+    return sums / object_areas(batch)[:, None]
+
+
+def object_areas(batch: RaggedBatch) -> Float[Tensor, " o"]:
+    """Surface of each object in square world units."""
+    return batch.areas.new_zeros(len(batch.objects)).index_add(0, batch.objects.index, batch.areas)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,6 +17,7 @@ from rfpp.model.block import CrossAttention, RMSNorm, SelfAttention, SwiGLU
 from rfpp.model.dpt import LEVELS, DPTHead
 from rfpp.model.encoding import RelativeSpatialEncoding, Rotation, rotate
 from rfpp.model.ray_bundle import CameraOrigin, FirstHitPosition, RayBundleEmbedding
+from rfpp.model.shading import LogRadiance, ReflectedLight
 from rfpp.model.tokenizer import SceneTokens
 
 
@@ -31,6 +32,7 @@ class ViewDecoder(nn.Module):
         gbuffer_channels: see RayBundleEmbedding; empty for the decoder without geometry guidance.
         head_level_channels, head_channels: see DPTHead.
         ray_position: where ray tokens stand: CameraOrigin (the paper's) or FirstHitPosition.
+        shading: what the head predicts: LogRadiance (the paper's) or ReflectedLight.
     """
 
     def __init__(
@@ -45,15 +47,16 @@ class ViewDecoder(nn.Module):
         head_level_channels: Sequence[int],
         head_channels: int,
         ray_position: CameraOrigin | FirstHitPosition,
+        shading: LogRadiance | ReflectedLight,
     ):
         super().__init__()
         if layers < LEVELS:
             raise ValueError(f"the image head reads the last {LEVELS} decoder layers, but there are {layers}")
         self.rays = RayBundleEmbedding(width, patch_size, gbuffer_channels)
-        self.ray_position = ray_position
+        self.ray_position, self.shading = ray_position, shading
         self.position = RelativeSpatialEncoding(width // heads, frequencies)
         self.blocks = nn.ModuleList(DecoderBlock(width, heads, hidden) for _ in range(layers))
-        self.head = DPTHead(width, head_level_channels, head_channels, patch_size)
+        self.head = DPTHead(width, head_level_channels, head_channels, patch_size, shading.maps)
 
     def forward(
         self,
@@ -62,15 +65,15 @@ class ViewDecoder(nn.Module):
         fov: Float[Tensor, "b v"],
         gbuffer: Float[Tensor, "b v c h w"],
     ) -> Float[Tensor, "b v 3 h w"]:
-        """log10(1 + radiance) of every view of every scene."""
+        """Linear radiance of every view of every scene."""
         batch, views, _, height, width = gbuffer.shape
-        seen_first, position = self._split_channels(gbuffer.flatten(0, 1))
-        rays = self.rays(fov.flatten(), seen_first)  # [B V, patches, D]
+        channels = self._split_channels(gbuffer.flatten(0, 1))
+        rays = self.rays(fov.flatten(), channels(self.rays.gbuffer_channels))  # [B V, patches, D]
         patches = rays.shape[1]
         in_view = Segments.from_lengths([patches] * (batch * views), rays.device)
         seen = SeenTokens.by(scene, c2w)
 
-        ray_points = self.ray_position(position, self.rays.patch_size)
+        ray_points = self.ray_position(channels(self.ray_position.channels), self.rays.patch_size)
         ray_rotation = None if ray_points is None else self.position(ray_points)
         seen_rotation = self.position(seen.points)
         to_scene, among_rays = AttentionPattern(in_view, seen.segments), AttentionPattern(in_view)
@@ -82,19 +85,22 @@ class ViewDecoder(nn.Module):
 
         grid = (height // self.rays.patch_size, width // self.rays.patch_size)
         maps = [f.view(batch * views, *grid, -1).permute(0, 3, 1, 2) for f in features[-LEVELS:]]
-        return self.head(maps, height, width).view(batch, views, 3, height, width)
+        radiance = self.shading(self.head(maps, height, width), channels(self.shading.channels))
+        return radiance.view(batch, views, 3, height, width)
 
     @property
     def gbuffer_channels(self) -> tuple[str, ...]:
-        """The channels a batch must carry, in order: those of the ray tokens, then those of their position."""
-        return (*self.rays.gbuffer_channels, *self.ray_position.channels)
+        """The channels a batch must carry, in order: what any of the parts reads."""
+        names = (*self.rays.gbuffer_channels, *self.ray_position.channels, *self.shading.channels)
+        return tuple(dict.fromkeys(names))
 
-    def _split_channels(self, gbuffer: Float[Tensor, "n c h w"]) -> tuple[Tensor, Tensor]:
-        """(what ray tokens embed, what places them). Raises ValueError when there are other channels."""
-        sizes = [self.rays.num_channels, sum(CHANNELS[name] for name in self.ray_position.channels)]
+    def _split_channels(self, gbuffer: Float[Tensor, "n c h w"]) -> Callable[[Sequence[str]], Tensor]:
+        """names → those channels, [N, C', H, W]. Raises ValueError when the batch carries others than we read."""
+        sizes = [CHANNELS[name] for name in self.gbuffer_channels]
         if gbuffer.shape[1] != sum(sizes):
             raise ValueError(f"{gbuffer.shape[1]} G-buffer channels where {self.gbuffer_channels} were expected")
-        return gbuffer.split(sizes, dim=1)
+        named = dict(zip(self.gbuffer_channels, gbuffer.split(sizes, dim=1), strict=True))
+        return lambda names: torch.cat([gbuffer[:, :0], *(named[name] for name in names)], dim=1)
 
 
 class DecoderBlock(nn.Module):

@@ -13,7 +13,7 @@ from rfpp.batch import RaggedBatch
 from rfpp.errors import ShardError, UserError
 from rfpp.shards.manifest import Manifest
 from rfpp.shards.stream import ShardSplit
-from rfpp.training.views import AllViews, GlobalBatches, LightAugmentation, RigidAugmentation, TrainingViews
+from rfpp.training.views import AllViews, ColourPermutation, GlobalBatches, RigidAugmentation, TrainingViews
 
 
 class SceneDataModule(L.LightningDataModule):
@@ -26,7 +26,7 @@ class SceneDataModule(L.LightningDataModule):
         views_per_scene: views of each of them; scenes x views is the batch size the paper speaks of.
         training_scenes: use only the first so many scenes of the `train` split; None uses all.
         validation_scenes: how many scenes of the `validation` split to use at most.
-        rigid_augmentation, light_augmentation: of training draws, or None.
+        rigid_augmentation, colour_augmentation: of training draws, or None.
         workers: loader processes per device.
         seed: of data order, views and augmentation.
     """
@@ -40,7 +40,7 @@ class SceneDataModule(L.LightningDataModule):
         training_scenes: int | None,
         validation_scenes: int,
         rigid_augmentation: RigidAugmentation | None,
-        light_augmentation: LightAugmentation | None,
+        colour_augmentation: ColourPermutation | None,
         workers: int,
         seed: int,
     ):
@@ -48,7 +48,7 @@ class SceneDataModule(L.LightningDataModule):
         self.root, self.channels = Path(root), tuple(gbuffer_channels)
         self.scenes_per_step, self.views_per_scene = scenes_per_step, views_per_scene
         self.training_scenes, self.validation_scenes = training_scenes, validation_scenes
-        self.rigid_augmentation, self.light_augmentation = rigid_augmentation, light_augmentation
+        self.rigid_augmentation, self.colour_augmentation = rigid_augmentation, colour_augmentation
         self.workers, self.seed = workers, seed
 
     @cached_property
@@ -76,7 +76,7 @@ class SceneDataModule(L.LightningDataModule):
             ranks=devices,
         )
         views = TrainingViews(
-            split, self.channels, self.views_per_scene, self.rigid_augmentation, self.light_augmentation, self.seed
+            split, self.channels, self.views_per_scene, self.rigid_augmentation, self.colour_augmentation, self.seed
         )
         return self._loader(views, batch_sampler=batches)
 

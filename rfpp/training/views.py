@@ -65,36 +65,24 @@ def moved(views: SceneViews, rotation: np.ndarray, translation: np.ndarray) -> S
     return replace(views, triangles=triangles, c2w=(move @ views.c2w).astype(np.float32))
 
 
-@dataclass(frozen=True)
-class LightAugmentation:
-    """Two exact symmetries of light transport that make a small data set larger.
+class ColourPermutation:
+    """Red, green and blue trade places everywhere at once: they do not mix, so the image's do the same.
 
-    Light is linear: all lights brighter by a factor, the image brighter by the same. And the colour channels do not
-    mix: red, green and blue may trade places everywhere at once. Not in the paper, whose data set is two thousand
-    times quickstart's.
-
-    Args:
-        stops: the factor is 2^u with u uniform in [-stops, stops].
-        permute_rgb: whether to exchange the colour channels.
+    Not in the paper, whose data set is two thousand times quickstart's.
     """
 
-    stops: float
-    permute_rgb: bool
-
     def __call__(self, views: SceneViews, channels: Sequence[str], rng: np.random.Generator) -> SceneViews:
-        factor = np.float32(2.0 ** rng.uniform(-self.stops, self.stops))
-        order = rng.permutation(3) if self.permute_rgb else np.arange(3)
+        order = rng.permutation(3)
         material = views.triangles.material.copy()
         for colour in (DIFFUSE, SPECULAR, EMISSION):
             material[:, colour] = material[:, colour][:, order]
-        material[:, EMISSION] *= factor
         gbuffer, start = views.gbuffer.copy(), 0
         for name in channels:
             if name in ("albedo", "specular"):
                 gbuffer[:, start : start + 3] = gbuffer[:, start : start + 3][:, order]
             start += CHANNELS[name]
         triangles = replace(views.triangles, material=material)
-        return replace(views, triangles=triangles, gbuffer=gbuffer, image=views.image[:, order] * factor)
+        return replace(views, triangles=triangles, gbuffer=gbuffer, image=views.image[:, order])
 
 
 class TrainingViews(Dataset):
@@ -104,7 +92,7 @@ class TrainingViews(Dataset):
         split: stored scenes.
         channels: G-buffer channels.
         views_per_scene: views drawn without replacement from each scene's.
-        rigid, light: augmentations applied to each draw, or None.
+        rigid, colour: augmentations applied to each draw, or None.
         seed: of the draws.
     """
 
@@ -114,11 +102,11 @@ class TrainingViews(Dataset):
         channels: Sequence[str],
         views_per_scene: int,
         rigid: RigidAugmentation | None,
-        light: LightAugmentation | None,
+        colour: ColourPermutation | None,
         seed: int,
     ):
         self.split, self.channels = split, tuple(channels)
-        self.views_per_scene, self.rigid, self.light, self.seed = views_per_scene, rigid, light, seed
+        self.views_per_scene, self.rigid, self.colour, self.seed = views_per_scene, rigid, colour, seed
 
     def __getitem__(self, draw: tuple[int, int]) -> SceneViews:
         epoch, index = draw
@@ -128,8 +116,8 @@ class TrainingViews(Dataset):
         chosen = select_views(sample, views, self.channels)
         if self.rigid:
             chosen = self.rigid(chosen, rng)
-        if self.light:
-            chosen = self.light(chosen, self.channels, rng)
+        if self.colour:
+            chosen = self.colour(chosen, self.channels, rng)
         return chosen
 
 

@@ -1,0 +1,35 @@
+"""From the head's maps to radiance."""
+
+import numpy as np
+import torch
+from networks import network
+from random_scenes import random_views
+
+from rfpp.batch import RaggedBatch
+from rfpp.model.shading import LogRadiance, ReflectedLight
+
+
+def test_log_radiance_is_decoded():
+    maps = torch.rand(2, 3, 4, 4)
+    torch.testing.assert_close(LogRadiance()(maps, torch.empty(2, 0, 4, 4)), 10**maps - 1)
+
+
+def test_reflected_light_is_diffuse_plus_glossy():
+    maps, gbuffer = torch.rand(2, 6, 4, 4), torch.rand(2, 6, 4, 4)
+    expected = gbuffer[:, :3] * (10 ** maps[:, :3] - 1) + gbuffer[:, 3:] * (10 ** maps[:, 3:] - 1)
+    torch.testing.assert_close(ReflectedLight()(maps, gbuffer), expected)
+
+
+def test_a_surface_that_reflects_nothing_is_black_and_colours_come_from_their_own_reflectance():
+    net = network("+experiment=quickstart")
+    views = random_views(np.random.default_rng(0), channels=13)
+    names = net.gbuffer_channels
+    assert names == ("albedo", "normal", "roughness", "specular", "position")
+    views.gbuffer[:, :3] = 0  # albedo
+    views.gbuffer[:, 7:10] = 0  # specular
+    views.gbuffer[:, 1, :, :8] = 0.5  # a left half with green albedo
+    with torch.no_grad():
+        image = net(RaggedBatch.pack([views])).log_radiance
+    assert torch.equal(image[..., 8:], torch.zeros_like(image[..., 8:]))
+    assert (image[:, :, 1, :, :8].abs() > 0).all()
+    assert torch.equal(image[:, :, ::2, :, :8], torch.zeros_like(image[:, :, ::2, :, :8]))
