@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import functools
+import os
 import sys
 import warnings
 from collections.abc import Callable
@@ -11,7 +12,7 @@ from pathlib import Path
 from typing import NoReturn, TypeVar
 
 import hydra
-from hydra.errors import InstantiationException
+from hydra.errors import ConfigCompositionException, InstantiationException, OverrideParseException
 from omegaconf import DictConfig, OmegaConf
 
 from rfpp.errors import UserError
@@ -20,6 +21,8 @@ Result = TypeVar("Result")
 
 #: The ways in which a disk can be full: no space, quota used up, file-size limit reached.
 NO_SPACE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+#: SQLite's words for it, which reach us in an exception of MLflow's.
+SQLITE_NO_SPACE = "database or disk is full"
 
 #: Hydra's primary configurations and groups.
 CONFIG_DIR = Path(__file__).resolve().parents[1] / "conf"
@@ -51,8 +54,22 @@ def entry_point(
                     raise
                 where = error.filename or "while writing"
                 _fail(UserError(f"{where}: {error.strerror}: free some space and run the same command again"))
+            except Exception as error:
+                if SQLITE_NO_SPACE not in str(error):
+                    raise
+                _fail(UserError(f"{SQLITE_NO_SPACE}: free some space and run the same command again"))
 
-        return hydra.main(version_base="1.3", config_path=str(config_dir), config_name=config_name)(reporting)
+        composed = hydra.main(version_base="1.3", config_path=str(config_dir), config_name=config_name)(reporting)
+
+        @functools.wraps(reporting)
+        def command() -> Result:
+            os.environ["HYDRA_FULL_ERROR"] = "1"  # Hydra then leaves its errors to us, and a defect its whole traceback
+            try:
+                return composed()
+            except (ConfigCompositionException, OverrideParseException) as error:
+                _fail(UserError(" ".join(f"{error} {error.__cause__ or ''}".split())))
+
+        return command
 
     return decorate
 

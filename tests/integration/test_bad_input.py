@@ -9,6 +9,7 @@ import sys
 
 import pytest
 import torch
+from mlflow.exceptions import MlflowException
 from marks import requires_blender
 from networks import network
 from small_data import make
@@ -26,6 +27,14 @@ ONE_SCENE = "data.splits={train: 1, train_newviews: 0, validation: 0, test: 0}"
 def command(verb: str, *overrides: str, **how) -> subprocess.CompletedProcess:
     line = [sys.executable, f"launch/{verb}.py", *overrides]
     return subprocess.run(line, cwd=REPOSITORY, capture_output=True, text=True, check=False, timeout=300, **how)
+
+
+def only_line(done: subprocess.CompletedProcess) -> str:
+    """The one line on stderr of a command that was refused."""
+    assert done.returncode == 1
+    assert done.stderr.startswith("error: ")
+    assert done.stderr.count("\n") == 1
+    return done.stderr
 
 
 @pytest.fixture
@@ -156,10 +165,27 @@ def test_what_the_command_line_must_give(composed, refused):
 
 @pytest.mark.parametrize("verb", ["generate", "train", "evaluate", "render"])
 def test_an_unknown_key_is_refused_by_name(verb):
-    done = command(verb, "stpes=10")
-    assert done.returncode == 1
-    assert "stpes" in done.stderr
-    assert "Traceback" not in done.stderr
+    assert "stpes" in only_line(command(verb, "stpes=10"))
+
+
+def test_an_experiment_that_does_not_exist_is_refused_with_those_that_do():
+    line = only_line(command("train", "+experiment=quickstrat"))
+    assert "experiment/quickstrat" in line
+    assert "large_scale" in line
+
+
+def test_a_full_tracking_database(data, composed, refused, monkeypatch, tmp_path):
+    from launch.train import main
+
+    def full(*_, **__):
+        raise MlflowException("(sqlite3.OperationalError) database or disk is full [SQL: INSERT INTO metrics …]")
+
+    monkeypatch.setattr("launch.train.describe_run", full)
+    cfg = composed(
+        "train", "+debug=cpu", f"data.root={data}", "data.resolution=8", "loss.lpips_weight=0.0",
+        f"run_dir={tmp_path}/run", f"logger.folder={tmp_path}",
+    )  # fmt: skip
+    assert "free some space" in refused(main, cfg)
 
 
 def test_no_blender_installed(tmp_path):
