@@ -16,6 +16,7 @@ from rfpp.model.attention import AttentionPattern
 from rfpp.model.block import CrossAttention, RMSNorm, SelfAttention, SwiGLU
 from rfpp.model.dpt import LEVELS, DPTHead
 from rfpp.model.encoding import RelativeSpatialEncoding, Rotation, rotate
+from rfpp.model.first_light import Emitters, NoLight, UnshadowedLight
 from rfpp.model.ray_bundle import CameraOrigin, FirstHitPosition, RayBundleEmbedding
 from rfpp.model.shading import LogRadiance, ReflectedLight
 from rfpp.model.tokenizer import SceneTokens
@@ -32,6 +33,7 @@ class ViewDecoder(nn.Module):
         gbuffer_channels: see RayBundleEmbedding; empty for the decoder without geometry guidance.
         head_level_channels, head_channels: see DPTHead.
         ray_position: where ray tokens stand: CameraOrigin (the paper's) or FirstHitPosition.
+        light: what ray tokens are told about the lights: NoLight (the paper's) or UnshadowedLight.
         shading: what the head predicts: LogRadiance (the paper's) or ReflectedLight.
     """
 
@@ -47,13 +49,14 @@ class ViewDecoder(nn.Module):
         head_level_channels: Sequence[int],
         head_channels: int,
         ray_position: CameraOrigin | FirstHitPosition,
+        light: NoLight | UnshadowedLight,
         shading: LogRadiance | ReflectedLight,
     ):
         super().__init__()
         if layers < LEVELS:
             raise ValueError(f"the image head reads the last {LEVELS} decoder layers, but there are {layers}")
-        self.rays = RayBundleEmbedding(width, patch_size, gbuffer_channels)
-        self.ray_position, self.shading = ray_position, shading
+        self.rays = RayBundleEmbedding(width, patch_size, gbuffer_channels, light.maps)
+        self.ray_position, self.light, self.shading = ray_position, light, shading
         self.position = RelativeSpatialEncoding(width // heads, frequencies)
         self.blocks = nn.ModuleList(DecoderBlock(width, heads, hidden) for _ in range(layers))
         self.head = DPTHead(width, head_level_channels, head_channels, patch_size, shading.maps)
@@ -61,6 +64,7 @@ class ViewDecoder(nn.Module):
     def forward(
         self,
         scene: SceneTokens,
+        emitters: Emitters,
         c2w: Float[Tensor, "b v 4 4"],
         fov: Float[Tensor, "b v"],
         gbuffer: Float[Tensor, "b v c h w"],
@@ -68,7 +72,9 @@ class ViewDecoder(nn.Module):
         """Linear radiance of every view of every scene."""
         batch, views, _, height, width = gbuffer.shape
         channels = self._split_channels(gbuffer.flatten(0, 1))
-        rays = self.rays(fov.flatten(), channels(self.rays.gbuffer_channels))  # [B V, patches, D]
+        light = self.light(emitters, c2w, channels(self.light.channels))
+        known = torch.cat([channels(self.rays.gbuffer_channels), light], dim=1)
+        rays = self.rays(fov.flatten(), known)  # [B V, patches, D]
         patches = rays.shape[1]
         in_view = Segments.from_lengths([patches] * (batch * views), rays.device)
         seen = SeenTokens.by(scene, c2w)
@@ -91,8 +97,8 @@ class ViewDecoder(nn.Module):
     @property
     def gbuffer_channels(self) -> tuple[str, ...]:
         """The channels a batch must carry, in order: what any of the parts reads."""
-        names = (*self.rays.gbuffer_channels, *self.ray_position.channels, *self.shading.channels)
-        return tuple(dict.fromkeys(names))
+        parts = (self.ray_position, self.light, self.shading)
+        return tuple(dict.fromkeys([*self.rays.gbuffer_channels, *(name for part in parts for name in part.channels)]))
 
     def _split_channels(self, gbuffer: Float[Tensor, "n c h w"]) -> Callable[[Sequence[str]], Tensor]:
         """names → those channels, [N, C', H, W]. Raises ValueError when the batch carries others than we read."""

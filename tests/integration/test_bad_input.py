@@ -9,8 +9,8 @@ import sys
 
 import pytest
 import torch
-from mlflow.exceptions import MlflowException
 from marks import requires_blender
+from mlflow.exceptions import MlflowException
 from networks import network
 from small_data import make
 
