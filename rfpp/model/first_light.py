@@ -43,8 +43,11 @@ class NoLight:
     #: What it needs of the G-buffer.
     channels: tuple[str, ...] = ()
 
+    def emitters(self, batch: RaggedBatch) -> None:
+        return None
+
     def __call__(
-        self, emitters: Emitters, c2w: Float[Tensor, "b v 4 4"], gbuffer: Float[Tensor, "n 0 h w"]
+        self, emitters: None, c2w: Float[Tensor, "b v 4 4"], gbuffer: Float[Tensor, "n 0 h w"]
     ) -> Float[Tensor, "n 0 h w"]:
         return gbuffer
 
@@ -62,6 +65,10 @@ class UnshadowedLight:
 
     maps = 4
     channels: tuple[str, ...] = ("normal", "position")
+
+    def emitters(self, batch: RaggedBatch) -> Emitters:
+        """What it needs of the scenes, whatever the view."""
+        return Emitters.of(batch)
 
     def __call__(
         self, emitters: Emitters, c2w: Float[Tensor, "b v 4 4"], gbuffer: Float[Tensor, "n 6 h w"]

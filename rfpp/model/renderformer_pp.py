@@ -36,13 +36,13 @@ class EncodedScenes:
 
     Attributes:
         tokens: the scene tokens with global illumination in their features.
-        emitters: the lights, at that exposure.
+        emitters: the lights at that exposure, where ray tokens are told of them.
         exposure: [B] radiance that the tokens call 1.
         transport_states: see Transported.states.
     """
 
     tokens: SceneTokens
-    emitters: Emitters
+    emitters: Emitters | None
     exposure: Float[Tensor, " b"]
     transport_states: tuple[Float[Tensor, "n width"], ...]
 
@@ -79,7 +79,7 @@ class RenderFormerPP(nn.Module):
         triangles = self.embedding(batch)
         tokens = self.tokenizer(triangles, batch)
         transported = self.transport(tokens)
-        return EncodedScenes(transported.tokens, Emitters.of(batch), exposure, transported.states)
+        return EncodedScenes(transported.tokens, self.decoder.light.emitters(batch), exposure, transported.states)
 
     def view(
         self,

@@ -64,7 +64,7 @@ class ViewDecoder(nn.Module):
     def forward(
         self,
         scene: SceneTokens,
-        emitters: Emitters,
+        emitters: Emitters | None,
         c2w: Float[Tensor, "b v 4 4"],
         fov: Float[Tensor, "b v"],
         gbuffer: Float[Tensor, "b v c h w"],

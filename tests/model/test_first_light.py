@@ -8,7 +8,7 @@ from random_scenes import random_views
 
 from rfpp.batch import RaggedBatch, SceneViews
 from rfpp.gbuffer.first_hit import first_hit, stack_channels
-from rfpp.model.first_light import Emitters, NoLight, UnshadowedLight
+from rfpp.model.first_light import NoLight, UnshadowedLight
 from rfpp.scene.triangles import EMISSION
 from rfpp.training.views import moved
 
@@ -28,7 +28,8 @@ def seen(rng: np.random.Generator, object_sizes=(12, 5, 1), views: int = 2) -> S
 
 def light_maps(*samples: SceneViews) -> torch.Tensor:
     batch = RaggedBatch.pack(samples)
-    return UnshadowedLight()(Emitters.of(batch), batch.c2w, batch.gbuffer.flatten(0, 1))
+    light = UnshadowedLight()
+    return light(light.emitters(batch), batch.c2w, batch.gbuffer.flatten(0, 1))
 
 
 def test_a_small_light_gives_radiance_area_cosines_over_distance_squared():
@@ -99,4 +100,4 @@ def test_a_rigid_motion_of_scene_and_camera_changes_nothing():
 def test_no_light_adds_nothing():
     batch = RaggedBatch.pack([seen(np.random.default_rng(5))])
     none = batch.gbuffer.flatten(0, 1)[:, :0]
-    assert NoLight()(Emitters.of(batch), batch.c2w, none).shape == none.shape
+    assert NoLight()(NoLight().emitters(batch), batch.c2w, none).shape == none.shape
