@@ -9,6 +9,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from rfpp.batch import RaggedBatch
+from rfpp.model.camera_space import to_camera
 
 
 @dataclass(frozen=True)
@@ -80,10 +81,8 @@ class UnshadowedLight:
         for k in range(int(emitters.count.max())):  # the k-th emitter of every scene at once
             there = k < emitters.count
             row = torch.where(there, emitters.first + k, 0)
-            offset = emitters.corners[row].repeat_interleave(views, 0) - camera[:, None, :3, 3]
-            a, b, c = (
-                (offset[..., :, None] * camera[:, None, :3, :3]).sum(-2)[..., None, None].unbind(1)
-            )  # [N, 3, 1, 1]
+            corners = to_camera(emitters.corners[row].repeat_interleave(views, 0), camera)
+            a, b, c = corners[..., None, None].unbind(1)  # [N, 3, 1, 1]
             vector_area = 0.5 * torch.linalg.cross(b - a, c - a, dim=1)
             area = torch.linalg.vector_norm(vector_area, dim=1, keepdim=True)
             way = (a + b + c) / 3 - position

@@ -36,14 +36,14 @@ class EncodedScenes:
 
     Attributes:
         tokens: the scene tokens with global illumination in their features.
-        emitters: the lights at that exposure, where ray tokens are told of them.
         exposure: [B] radiance that the tokens call 1.
+        emitters: the lights at that exposure, where ray tokens are told of them.
         transport_states: see Transported.states.
     """
 
     tokens: SceneTokens
-    emitters: Emitters | None
     exposure: Float[Tensor, " b"]
+    emitters: Emitters | None
     transport_states: tuple[Float[Tensor, "n width"], ...]
 
 
@@ -79,7 +79,8 @@ class RenderFormerPP(nn.Module):
         triangles = self.embedding(batch)
         tokens = self.tokenizer(triangles, batch)
         transported = self.transport(tokens)
-        return EncodedScenes(transported.tokens, self.decoder.light.emitters(batch), exposure, transported.states)
+        emitters = self.decoder.light.emitters(batch)
+        return EncodedScenes(transported.tokens, exposure, emitters, transported.states)
 
     def view(
         self,

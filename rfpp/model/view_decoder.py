@@ -14,6 +14,7 @@ from rfpp.batch import Segments
 from rfpp.gbuffer.first_hit import CHANNELS
 from rfpp.model.attention import AttentionPattern
 from rfpp.model.block import CrossAttention, RMSNorm, SelfAttention, SwiGLU
+from rfpp.model.camera_space import to_camera
 from rfpp.model.dpt import LEVELS, DPTHead
 from rfpp.model.encoding import RelativeSpatialEncoding, Rotation, rotate
 from rfpp.model.first_light import Emitters, NoLight, UnshadowedLight
@@ -161,7 +162,5 @@ class SeenTokens:
         rows = torch.from_numpy(rows).to(c2w.device)
         segments = Segments.from_lengths([n for n in scene.segments.lengths for _ in range(views)], c2w.device)
         camera = c2w.flatten(0, 1)[segments.index]
-        offset = scene.points[rows].unflatten(-1, (3, 3)) - camera[:, None, :3, 3]
-        # Rᵀ (p − t), written out because autocast would round a matrix product of positions to bfloat16
-        points = (offset[..., :, None] * camera[:, None, :3, :3]).sum(-2)
+        points = to_camera(scene.points[rows].unflatten(-1, (3, 3)), camera)
         return cls(rows, points.flatten(1), segments)
