@@ -56,9 +56,9 @@ class NoLight:
 class UnshadowedLight:
     """The light that would reach each first hit if nothing stood in between, and the direction it would come from.
 
-    Not in the paper. A small network finds out early that surfaces facing a light are bright, but what hides a light
-    only once it knows where the light is; from 220 scenes it learns the second by heart instead. No rays are cast:
-    shadows, reflections and every further bounce remain the network's to predict.
+    Not in the paper. A small data set teaches a network the law of light at a surface slowly, and longer training on
+    it learns the scenes by heart instead. No rays are cast: shadows, reflections and every further bounce remain the
+    network's to predict.
 
     Per emitting triangle of radiance L, area A and normal n, with unit direction w and distance r from hit to
     centroid: the amount L A |n·w| / (r² + A/π), which stays finite where the two touch.
