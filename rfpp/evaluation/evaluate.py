@@ -13,8 +13,7 @@ from torch import Tensor, nn
 from rfpp.batch import RaggedBatch
 from rfpp.errors import ShardError, UserError
 from rfpp.evaluation.tables import ImageRecord, scene_means
-from rfpp.gbuffer.first_hit import CHANNELS
-from rfpp.metrics.baselines import AlbedoTimesConstant, Baseline, Black, MeanImage
+from rfpp.metrics.baselines import CHANNELS, AlbedoTimesConstant, Baseline, Black, DirectLightAlone, MeanImage
 from rfpp.metrics.image import METRICS, ImageMetrics
 from rfpp.radiance import log_decode
 from rfpp.shards.stream import ShardSplit
@@ -26,17 +25,18 @@ MODEL = "model"
 
 @dataclass(frozen=True, eq=False)
 class RenderedScene:
-    """All V views of one scene: linear radiance and first-hit albedo.
+    """All V views of one scene.
 
     Attributes:
         key: of the stored scene.
-        reference, prediction, albedo: [V, 3, H, W].
+        reference, prediction: [V, 3, H, W] linear radiance.
+        gbuffer: what baselines predict from, [V, 3, H, W] each.
     """
 
     key: str
     reference: Float[Tensor, "v 3 h w"]
     prediction: Float[Tensor, "v 3 h w"]
-    albedo: Float[Tensor, "v 3 h w"]
+    gbuffer: dict[str, Float[Tensor, "v 3 h w"]]
 
 
 @torch.no_grad()
@@ -48,20 +48,20 @@ def render_stored(network: nn.Module, split: ShardSplit, index: int, device: tor
     """
     sample = split[index]
     wanted = tuple(network.gbuffer_channels)
-    views = select_views(sample, range(len(sample.fov)), (*wanted, "albedo"))
+    views = select_views(sample, range(len(sample.fov)), (*wanted, *CHANNELS))
     batch = RaggedBatch.pack([views]).to(device)
     if any(side % network.patch_size for side in batch.resolution):
         raise UserError(
             f"{split.manifest.root}: images of {batch.resolution[0]}x{batch.resolution[1]} pixels are not divisible by "
             f"the checkpoint's patch size {network.patch_size}: evaluate on data of another resolution"
         )
-    width = sum(CHANNELS[name] for name in wanted)
-    rendering = network(replace(batch, gbuffer=batch.gbuffer[:, :, :width]))
+    for_network, for_baselines = batch.gbuffer.tensor_split([-3 * len(CHANNELS)], dim=2)
+    rendering = network(replace(batch, gbuffer=for_network))
     return RenderedScene(
         key=sample.key,
         reference=batch.image[0],
         prediction=log_decode(rendering.log_radiance[0].float()),
-        albedo=batch.gbuffer[0, :, width:],
+        gbuffer=_by_name(for_baselines[0]),
     )
 
 
@@ -87,7 +87,7 @@ def evaluate_split(
     records = []
     for index in range(len(split)):
         scene = render_stored(network, split, index, device)
-        predictions = {MODEL: scene.prediction} | {b.name: b.predict(scene.albedo) for b in baselines}
+        predictions = {MODEL: scene.prediction} | {b.name: b.predict(scene.gbuffer) for b in baselines}
         for predictor, prediction in predictions.items():
             values = {name: column.tolist() for name, column in metrics(prediction, scene.reference).items()}
             for view in range(len(prediction)):
@@ -99,7 +99,8 @@ def evaluate_split(
 
 def fitted_baselines(train: ShardSplit, scenes: int) -> list[Baseline]:
     """Every trivial baseline, fitted on evenly spaced training scenes, at most `scenes` of them."""
-    return [baseline.fit(_training_views(train, scenes)) for baseline in (Black(), MeanImage(), AlbedoTimesConstant())]
+    baselines = (Black(), MeanImage(), AlbedoTimesConstant(), DirectLightAlone())
+    return [baseline.fit(_training_views(train, scenes)) for baseline in baselines]
 
 
 def ranked_scenes(records: Sequence[ImageRecord], metric: str = "log_l1") -> dict[str, int]:
@@ -117,10 +118,14 @@ def ranked_scenes(records: Sequence[ImageRecord], metric: str = "log_l1") -> dic
     return {f"{place}: {key}, {label} {error:.4f}": index for place, (error, index, key) in chosen.items()}
 
 
-def _training_views(split: ShardSplit, scenes: int) -> Iterator[tuple[Tensor, Tensor]]:
-    """(albedo, radiance), both [V, 3, H, W], scene by scene."""
+def _training_views(split: ShardSplit, scenes: int) -> Iterator[tuple[dict[str, Tensor], Tensor]]:
+    """(channels, radiance), all [V, 3, H, W], scene by scene."""
     count = min(scenes, len(split))
     for index in np.linspace(0, len(split) - 1, count).round().astype(int):
         sample = split[int(index)]
-        views = select_views(sample, range(len(sample.fov)), ("albedo",))
-        yield torch.from_numpy(views.gbuffer), torch.from_numpy(views.image)
+        views = select_views(sample, range(len(sample.fov)), CHANNELS)
+        yield _by_name(torch.from_numpy(views.gbuffer)), torch.from_numpy(views.image)
+
+
+def _by_name(gbuffer: Float[Tensor, "v c h w"]) -> dict[str, Float[Tensor, "v 3 h w"]]:
+    return dict(zip(CHANNELS, gbuffer.split(3, dim=1), strict=True))

@@ -20,7 +20,7 @@ def save_scene_panel(scenes: Mapping[str, RenderedScene], path: Path) -> Path:
     """
     references, predictions, albedos = (
         [views[0].permute(1, 2, 0).cpu().numpy() for views in of_all]
-        for of_all in zip(*((s.reference, s.prediction, s.albedo) for s in scenes.values()), strict=True)
+        for of_all in zip(*((s.reference, s.prediction, s.gbuffer["albedo"]) for s in scenes.values()), strict=True)
     )
     columns = {
         "reference": [tone_mapped(reference) for reference in references],

@@ -14,10 +14,28 @@ from rfpp.gbuffer.raycast import RayCaster
 from rfpp.scene.camera import pixel_plane, pixel_rays
 from rfpp.scene.triangles import DIFFUSE, ROUGHNESS, SPECULAR, SceneTriangles
 
+#: Channels that hold light, in the units of `DirectLight`.
+LIGHT_CHANNELS = ("direct_diffuse", "direct_glossy")
+#: Channels whose three numbers are red, green and blue.
+COLOUR_CHANNELS = ("albedo", "specular", *LIGHT_CHANNELS)
 #: The geometry-buffer channels a network may ask for, and how many numbers each has.
-CHANNELS: dict[str, int] = {"albedo": 3, "normal": 3, "roughness": 1, "specular": 3, "depth": 1, "position": 3}
+CHANNELS: dict[str, int] = {"normal": 3, "roughness": 1, "depth": 1, "position": 3} | dict.fromkeys(COLOUR_CHANNELS, 3)
 
 _MATERIAL_COLUMNS = {"albedo": DIFFUSE, "specular": SPECULAR, "roughness": ROUGHNESS}
+
+
+@dataclass(frozen=True, eq=False)
+class DirectLight:
+    """Light straight from the emitters, shadows included, as the two lobes of a surface gather it.
+
+    Attributes:
+        diffuse: [H, W, 3] float32 irradiance / π: times the diffuse albedo it is outgoing radiance.
+        glossy: [H, W, 3] float32: times the specular albedo it is outgoing radiance.
+            Both are zeros where nothing is hit.
+    """
+
+    diffuse: Float[np.ndarray, "h w 3"]
+    glossy: Float[np.ndarray, "h w 3"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,11 +47,13 @@ class GBuffer:
         normal: [H, W, 3] float32 unit shading normal in camera space, on the camera's side of the surface;
             zeros where nothing is hit.
         depth: [H, W] float32 distance along the camera's -Z axis (not along the ray); 0 where nothing is hit.
+        light: what reaches the hits straight from the lights, if it was asked for (`rfpp.gbuffer.direct_light`).
     """
 
     triangle: Int[np.ndarray, "h w"]
     normal: Float[np.ndarray, "h w 3"]
     depth: Float[np.ndarray, "h w"]
+    light: DirectLight | None = None
 
     @property
     def hit(self) -> np.ndarray:
@@ -94,6 +114,7 @@ def stack_channels(
 
     Raises:
         UserError: a name that is no channel.
+        ValueError: a channel of light from a G-buffer that has none.
     """
     height, width = gbuffer.depth.shape
     channels = [channel(gbuffer, material, fov, name) for name in names]
@@ -113,6 +134,10 @@ def channel(
         return gbuffer.depth[..., None]
     if name == "position":
         return camera_positions(gbuffer.depth, fov)
+    if name in LIGHT_CHANNELS:
+        if gbuffer.light is None:
+            raise ValueError(f"'{name}' was asked of a G-buffer without direct light: see with_direct_light")
+        return gbuffer.light.diffuse if name == "direct_diffuse" else gbuffer.light.glossy
     raise UserError(f"G-buffer channel '{name}' does not exist: choose from {', '.join(CHANNELS)}")
 
 

@@ -12,7 +12,9 @@ from torch import nn
 
 from rfpp.batch import RaggedBatch, SceneViews
 from rfpp.errors import SceneError, UserError
-from rfpp.gbuffer.first_hit import GBuffer, camera_caster, first_hit, stack_channels
+from rfpp.gbuffer.direct_light import with_direct_light
+from rfpp.gbuffer.first_hit import LIGHT_CHANNELS, GBuffer, camera_caster, first_hit, stack_channels
+from rfpp.gbuffer.light_sampler import LightSampler
 from rfpp.inference.checkpoint import CheckpointInfo, load_network
 from rfpp.radiance import log_decode
 from rfpp.scene.camera import camera_to_world
@@ -42,7 +44,11 @@ class Renderer:
         return cls(network, info, device or ("cuda" if torch.cuda.is_available() else "cpu"))
 
     def render(
-        self, scene: Scene, resolution: int | tuple[int, int] | None = None, cameras: Sequence[Camera] | None = None
+        self,
+        scene: Scene,
+        resolution: int | tuple[int, int] | None = None,
+        cameras: Sequence[Camera] | None = None,
+        light_samples: int = 16,
     ) -> Float[np.ndarray, "v h w 3"]:
         """Linear radiance seen by each camera; the scene is encoded once for all of them.
 
@@ -50,6 +56,7 @@ class Renderer:
             scene: what to render.
             resolution: pixels, a number for square images or (height, width); None is the training resolution.
             cameras: None renders the scene's own.
+            light_samples: shadow rays per light and pixel, for networks that are given the direct light.
 
         Raises:
             SceneError: there is no camera.
@@ -62,7 +69,12 @@ class Renderer:
         triangles = SceneTriangles.from_scene(scene)
         c2w = np.stack([camera_to_world(camera) for camera in cameras])
         fov = np.array([camera.fov for camera in cameras], dtype=np.float32)
-        return self.render_triangles(scene.name, triangles, c2w, fov, cast_views(triangles, c2w, fov, height, width))
+        gbuffers = cast_views(triangles, c2w, fov, height, width)
+        if set(self.network.gbuffer_channels) & set(LIGHT_CHANNELS):
+            sampler = LightSampler(triangles)
+            views = zip(gbuffers, c2w, fov, strict=True)
+            gbuffers = [with_direct_light(g, m, f, sampler, light_samples) for g, m, f in views]
+        return self.render_triangles(scene.name, triangles, c2w, fov, gbuffers)
 
     @torch.inference_mode()
     def render_triangles(

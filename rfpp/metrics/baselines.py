@@ -1,12 +1,12 @@
 """Trivial predictors, to be read beside every learned result: what is a number worth that black also reaches?
 
-All are fitted on training views and predict linear radiance from the first-hit albedo alone.
+All are fitted on training views and predict linear radiance from what the G-buffer holds (`CHANNELS`).
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
 import torch
 from jaxtyping import Float
@@ -16,19 +16,22 @@ from rfpp.radiance import log_decode, log_encode
 
 Images = Float[Tensor, "n 3 h w"]
 
+#: The G-buffer channels that predictors are given, all of three numbers.
+CHANNELS = ("albedo", "specular", "direct_diffuse", "direct_glossy")
+
 
 class Baseline(ABC):
     """A predictor without a network."""
 
     name: str
 
-    def fit(self, samples: Iterable[tuple[Images, Images]]) -> Baseline:
-        """Learn from (albedo, linear radiance) pairs; returns self."""
+    def fit(self, samples: Iterable[tuple[Mapping[str, Images], Images]]) -> Baseline:
+        """Learn from (channels, linear radiance) pairs; returns self."""
         return self
 
     @abstractmethod
-    def predict(self, albedo: Images) -> Images:
-        """Linear radiance of views with this first-hit albedo."""
+    def predict(self, gbuffer: Mapping[str, Images]) -> Images:
+        """Linear radiance of views with these channels."""
 
 
 class Black(Baseline):
@@ -36,8 +39,17 @@ class Black(Baseline):
 
     name = "black"
 
-    def predict(self, albedo: Images) -> Images:
-        return torch.zeros_like(albedo)
+    def predict(self, gbuffer: Mapping[str, Images]) -> Images:
+        return torch.zeros_like(gbuffer["albedo"])
+
+
+class DirectLightAlone(Baseline):
+    """Predicts the first bounce, exact but for the noise of its samples, and nothing of what follows."""
+
+    name = "direct light alone"
+
+    def predict(self, gbuffer: Mapping[str, Images]) -> Images:
+        return gbuffer["albedo"] * gbuffer["direct_diffuse"] + gbuffer["specular"] * gbuffer["direct_glossy"]
 
 
 class MeanImage(Baseline):
@@ -49,7 +61,7 @@ class MeanImage(Baseline):
 
     name = "mean image"
 
-    def fit(self, samples: Iterable[tuple[Images, Images]]) -> MeanImage:
+    def fit(self, samples: Iterable[tuple[Mapping[str, Images], Images]]) -> MeanImage:
         total, count = 0.0, 0
         for _, image in samples:
             total = total + log_encode(image.double()).sum(dim=0)
@@ -57,7 +69,8 @@ class MeanImage(Baseline):
         self.image = log_decode(total / count).float()  # [3, h, w]
         return self
 
-    def predict(self, albedo: Images) -> Images:
+    def predict(self, gbuffer: Mapping[str, Images]) -> Images:
+        albedo = gbuffer["albedo"]
         return self.image.to(albedo.device).expand_as(albedo).clone()
 
 
@@ -74,9 +87,10 @@ class AlbedoTimesConstant(Baseline):
     #: Range searched, in powers of ten of the constant.
     SEARCH = (-3.0, 2.0)
 
-    def fit(self, samples: Iterable[tuple[Images, Images]]) -> AlbedoTimesConstant:
+    def fit(self, samples: Iterable[tuple[Mapping[str, Images], Images]]) -> AlbedoTimesConstant:
         albedos, targets = [], []
-        for albedo, image in samples:
+        for gbuffer, image in samples:
+            albedo = gbuffer["albedo"]
             pixels = albedo.shape[-2] * albedo.shape[-1]
             stride = pixels // self.PIXELS_PER_IMAGE | 1  # odd, so as not to read the same columns in every row
             albedos.append(albedo.float().flatten(2)[..., ::stride].flatten())
@@ -86,8 +100,8 @@ class AlbedoTimesConstant(Baseline):
         self.constant = _minimiser(albedo[visible], target[visible], *self.SEARCH)
         return self
 
-    def predict(self, albedo: Images) -> Images:
-        return self.constant * albedo
+    def predict(self, gbuffer: Mapping[str, Images]) -> Images:
+        return self.constant * gbuffer["albedo"]
 
 
 def _minimiser(albedo: Tensor, target_log: Tensor, low: float, high: float) -> float:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import torch
 import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
@@ -15,7 +14,7 @@ INITIAL_LOG_RADIANCE = 0.1
 
 
 class DPTHead(nn.Module):
-    """Four feature maps of the patch grid → maps of log10(1 + something non-negative) at pixel resolution.
+    """Four feature maps of the patch grid → float32 maps at pixel resolution, which `rfpp.model.shading` reads.
 
     The maps are resampled to 4, 2, 1 and 1/2 times the patch grid: with 4×4 patches the finest is exactly the
     image, with RenderFormer's 8×8 it is half of it; never above it.
@@ -62,7 +61,7 @@ class DPTHead(nn.Module):
         x = self.fuse[1](x, levels[1], levels[0].shape[-2:])
         x = self.fuse[0](x, levels[0], (height, width))
         x = self.out(_resize(self.smooth(x), (height, width)))
-        return _ELU.apply(x.float())
+        return x.float()
 
 
 class FusionBlock(nn.Module):
@@ -90,27 +89,6 @@ class ResidualConvUnit(nn.Module):
 
     def forward(self, x: Tensor) -> Tensor:
         return x + self.conv2(F.silu(self.conv1(F.silu(x))))
-
-
-class _ELU(torch.autograd.Function):
-    """ELU(α = 10⁻³), RenderFormer's output, whose gradient does not die below zero.
-
-    There the true slope is α at most, so a pixel that has turned black would hardly come back. A gradient that asks
-    for more light is therefore passed on undamped.
-    """
-
-    ALPHA = 1e-3
-
-    @staticmethod
-    def forward(ctx, x: Tensor) -> Tensor:
-        ctx.save_for_backward(x)
-        return F.elu(x, alpha=_ELU.ALPHA)
-
-    @staticmethod
-    def backward(ctx, grad: Tensor) -> Tensor:
-        (x,) = ctx.saved_tensors
-        slope = torch.where((x > 0) | (grad < 0), 1.0, _ELU.ALPHA * x.clamp(max=0).exp())
-        return grad * slope
 
 
 def _resize(x: Tensor, size: tuple[int, int]) -> Tensor:

@@ -22,31 +22,30 @@ def ray_directions(fov: Float[Tensor, " n"], height: int, width: int) -> Float[T
 
 
 class RayBundleEmbedding(nn.Module):
-    """Learned token + RMS(Linear(rays, G-buffer and whatever else is known of a patch's pixels)).
+    """Learned token + RMS(Linear(rays and G-buffer of a patch's pixels)).
 
     Args:
         width: token width.
         patch_size: pixels along a patch's side.
         gbuffer_channels: names from rfpp.gbuffer.first_hit.CHANNELS in the order the batch stacks them; empty
             for the decoder without geometry guidance.
-        more_maps: how many more maps follow the G-buffer's.
     """
 
-    def __init__(self, width: int, patch_size: int, gbuffer_channels: Sequence[str], more_maps: int):
+    def __init__(self, width: int, patch_size: int, gbuffer_channels: Sequence[str]):
         super().__init__()
         self.patch_size = patch_size
         self.gbuffer_channels = tuple(gbuffer_channels)
-        known = sum(CHANNELS[name] for name in self.gbuffer_channels) + more_maps
-        self.proj = nn.Linear((3 + known) * patch_size**2, width)
+        channels = 3 + sum(CHANNELS[name] for name in self.gbuffer_channels)
+        self.proj = nn.Linear(channels * patch_size**2, width)
         self.norm = RMSNorm(width, eps=None)
         self.token = nn.Parameter(0.02 * torch.randn(width))
 
-    def forward(self, fov: Float[Tensor, " n"], known: Float[Tensor, "n c h w"]) -> Float[Tensor, "n patches width"]:
+    def forward(self, fov: Float[Tensor, " n"], gbuffer: Float[Tensor, "n c h w"]) -> Float[Tensor, "n patches width"]:
         """Raises ValueError when the image does not divide into patches."""
-        height, width = known.shape[-2:]
+        height, width = gbuffer.shape[-2:]
         if height % self.patch_size or width % self.patch_size:
             raise ValueError(f"{width}×{height} pixels do not divide into patches of {self.patch_size}")
-        pixels = torch.cat([ray_directions(fov, height, width), known], dim=1)
+        pixels = torch.cat([ray_directions(fov, height, width), gbuffer], dim=1)
         patches = F.pixel_unshuffle(pixels, self.patch_size).flatten(2).transpose(1, 2)  # [N, patches, (c row column)]
         return self.token + self.norm(self.proj(patches))
 

@@ -9,7 +9,6 @@ from torch import Tensor, nn
 
 from rfpp.batch import RaggedBatch
 from rfpp.model.exposure import ArrivingLight, UnitExposure
-from rfpp.model.first_light import Emitters
 from rfpp.model.tokenizer import ObjectTokens, SceneTokens, TriangleTokens
 from rfpp.model.transport import PhysicsInformedTransport, UnconstrainedTransport
 from rfpp.model.triangle_embedding import TriangleEmbedding
@@ -37,13 +36,11 @@ class EncodedScenes:
     Attributes:
         tokens: the scene tokens with global illumination in their features.
         exposure: [B] radiance that the tokens call 1.
-        emitters: the lights at that exposure, where ray tokens are told of them.
         transport_states: see Transported.states.
     """
 
     tokens: SceneTokens
     exposure: Float[Tensor, " b"]
-    emitters: Emitters | None
     transport_states: tuple[Float[Tensor, "n width"], ...]
 
 
@@ -79,8 +76,7 @@ class RenderFormerPP(nn.Module):
         triangles = self.embedding(batch)
         tokens = self.tokenizer(triangles, batch)
         transported = self.transport(tokens)
-        emitters = self.decoder.light.emitters(batch)
-        return EncodedScenes(transported.tokens, exposure, emitters, transported.states)
+        return EncodedScenes(transported.tokens, exposure, transported.states)
 
     def view(
         self,
@@ -90,7 +86,7 @@ class RenderFormerPP(nn.Module):
         gbuffer: Float[Tensor, "b v c h w"],
     ) -> Float[Tensor, "b v 3 h w"]:
         """The view-dependent stage: log10(1 + radiance) of V views of each scene, float32."""
-        radiance = self.decoder(scenes.tokens, scenes.emitters, c2w, fov, gbuffer)
+        radiance = self.decoder(scenes.tokens, c2w, fov, gbuffer, scenes.exposure)
         return log_encode(scenes.exposure[:, None, None, None, None] * radiance)
 
     @property

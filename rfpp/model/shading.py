@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import torch
+import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
@@ -17,7 +19,7 @@ class LogRadiance:
     channels: tuple[str, ...] = ()
 
     def __call__(self, maps: Float[Tensor, "n 3 h w"], gbuffer: Float[Tensor, "n 0 h w"]) -> Float[Tensor, "n 3 h w"]:
-        return log_decode(maps)
+        return log_decode(_ELU.apply(maps))
 
 
 class ReflectedLight:
@@ -32,6 +34,42 @@ class ReflectedLight:
     channels: tuple[str, ...] = ("albedo", "specular")
 
     def __call__(self, maps: Float[Tensor, "n 6 h w"], gbuffer: Float[Tensor, "n 6 h w"]) -> Float[Tensor, "n 3 h w"]:
-        diffuse, glossy = log_decode(maps).chunk(2, dim=1)
+        diffuse, glossy = log_decode(_ELU.apply(maps)).chunk(2, dim=1)
         albedo, specular = gbuffer.chunk(2, dim=1)
         return albedo * diffuse + specular * glossy
+
+
+class LightBeyondDirect(ReflectedLight):
+    """As ReflectedLight, but the head's maps are what is to be added, in log space, to the direct light.
+
+    Not in the paper. T L_e, the first bounce of the rendering equation's series, is computed with its shadows
+    (`rfpp.gbuffer.direct_light`) and arrives as log10(1 + light) in the G-buffer; every further bounce is predicted.
+    Maps of zero give the direct light alone.
+    """
+
+    channels: tuple[str, ...] = (*ReflectedLight.channels, "direct_diffuse", "direct_glossy")
+
+    def __call__(self, maps: Float[Tensor, "n 6 h w"], gbuffer: Float[Tensor, "n 12 h w"]) -> Float[Tensor, "n 3 h w"]:
+        reflectance, direct = gbuffer.chunk(2, dim=1)
+        return super().__call__(maps + direct, reflectance)
+
+
+class _ELU(torch.autograd.Function):
+    """ELU(α = 10⁻³), RenderFormer's output, whose gradient does not die below zero.
+
+    There the true slope is α at most, so a pixel that has turned black would hardly come back. A gradient that asks
+    for more light is therefore passed on undamped.
+    """
+
+    ALPHA = 1e-3
+
+    @staticmethod
+    def forward(ctx, x: Tensor) -> Tensor:
+        ctx.save_for_backward(x)
+        return F.elu(x, alpha=_ELU.ALPHA)
+
+    @staticmethod
+    def backward(ctx, grad: Tensor) -> Tensor:
+        (x,) = ctx.saved_tensors
+        slope = torch.where((x > 0) | (grad < 0), 1.0, _ELU.ALPHA * x.clamp(max=0).exp())
+        return grad * slope

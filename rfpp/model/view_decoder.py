@@ -11,16 +11,16 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from rfpp.batch import Segments
-from rfpp.gbuffer.first_hit import CHANNELS
+from rfpp.gbuffer.first_hit import CHANNELS, LIGHT_CHANNELS
 from rfpp.model.attention import AttentionPattern
 from rfpp.model.block import CrossAttention, RMSNorm, SelfAttention, SwiGLU
 from rfpp.model.camera_space import to_camera
 from rfpp.model.dpt import LEVELS, DPTHead
 from rfpp.model.encoding import RelativeSpatialEncoding, Rotation, rotate
-from rfpp.model.first_light import Emitters, NoLight, UnshadowedLight
 from rfpp.model.ray_bundle import CameraOrigin, FirstHitPosition, RayBundleEmbedding
-from rfpp.model.shading import LogRadiance, ReflectedLight
+from rfpp.model.shading import LightBeyondDirect, LogRadiance, ReflectedLight
 from rfpp.model.tokenizer import SceneTokens
+from rfpp.radiance import log_encode
 
 
 class ViewDecoder(nn.Module):
@@ -34,8 +34,7 @@ class ViewDecoder(nn.Module):
         gbuffer_channels: see RayBundleEmbedding; empty for the decoder without geometry guidance.
         head_level_channels, head_channels: see DPTHead.
         ray_position: where ray tokens stand: CameraOrigin (the paper's) or FirstHitPosition.
-        light: what ray tokens are told about the lights: NoLight (the paper's) or UnshadowedLight.
-        shading: what the head predicts: LogRadiance (the paper's) or ReflectedLight.
+        shading: what the head predicts: LogRadiance (the paper's), ReflectedLight or LightBeyondDirect.
     """
 
     def __init__(
@@ -50,14 +49,13 @@ class ViewDecoder(nn.Module):
         head_level_channels: Sequence[int],
         head_channels: int,
         ray_position: CameraOrigin | FirstHitPosition,
-        light: NoLight | UnshadowedLight,
-        shading: LogRadiance | ReflectedLight,
+        shading: LogRadiance | ReflectedLight | LightBeyondDirect,
     ):
         super().__init__()
         if layers < LEVELS:
             raise ValueError(f"the image head reads the last {LEVELS} decoder layers, but there are {layers}")
-        self.rays = RayBundleEmbedding(width, patch_size, gbuffer_channels, light.maps)
-        self.ray_position, self.light, self.shading = ray_position, light, shading
+        self.rays = RayBundleEmbedding(width, patch_size, gbuffer_channels)
+        self.ray_position, self.shading = ray_position, shading
         self.position = RelativeSpatialEncoding(width // heads, frequencies)
         self.blocks = nn.ModuleList(DecoderBlock(width, heads, hidden) for _ in range(layers))
         self.head = DPTHead(width, head_level_channels, head_channels, patch_size, shading.maps)
@@ -65,17 +63,20 @@ class ViewDecoder(nn.Module):
     def forward(
         self,
         scene: SceneTokens,
-        emitters: Emitters | None,
         c2w: Float[Tensor, "b v 4 4"],
         fov: Float[Tensor, "b v"],
         gbuffer: Float[Tensor, "b v c h w"],
+        exposure: Float[Tensor, " b"],
     ) -> Float[Tensor, "b v 3 h w"]:
-        """Linear radiance of every view of every scene."""
+        """Linear radiance of every view of every scene, in units of its exposure.
+
+        Args:
+            gbuffer: `gbuffer_channels`; light as it is.
+            exposure: radiance that the scene tokens call 1; what the decoder reads of light is divided by it.
+        """
         batch, views, _, height, width = gbuffer.shape
-        channels = self._split_channels(gbuffer.flatten(0, 1))
-        light = self.light(emitters, c2w, channels(self.light.channels))
-        known = torch.cat([channels(self.rays.gbuffer_channels), light], dim=1)
-        rays = self.rays(fov.flatten(), known)  # [B V, patches, D]
+        channels = self._split_channels(gbuffer.flatten(0, 1), exposure.repeat_interleave(views))
+        rays = self.rays(fov.flatten(), channels(self.rays.gbuffer_channels))  # [B V, patches, D]
         patches = rays.shape[1]
         in_view = Segments.from_lengths([patches] * (batch * views), rays.device)
         seen = SeenTokens.by(scene, c2w)
@@ -98,15 +99,22 @@ class ViewDecoder(nn.Module):
     @property
     def gbuffer_channels(self) -> tuple[str, ...]:
         """The channels a batch must carry, in order: what any of the parts reads."""
-        parts = (self.ray_position, self.light, self.shading)
+        parts = (self.ray_position, self.shading)
         return tuple(dict.fromkeys([*self.rays.gbuffer_channels, *(name for part in parts for name in part.channels)]))
 
-    def _split_channels(self, gbuffer: Float[Tensor, "n c h w"]) -> Callable[[Sequence[str]], Tensor]:
-        """names → those channels, [N, C', H, W]. Raises ValueError when the batch carries others than we read."""
+    def _split_channels(
+        self, gbuffer: Float[Tensor, "n c h w"], exposure: Float[Tensor, " n"]
+    ) -> Callable[[Sequence[str]], Tensor]:
+        """names → those channels, [N, C', H, W], light as log10(1 + light / exposure).
+
+        Raises ValueError when the batch carries other channels than we read.
+        """
         sizes = [CHANNELS[name] for name in self.gbuffer_channels]
         if gbuffer.shape[1] != sum(sizes):
             raise ValueError(f"{gbuffer.shape[1]} G-buffer channels where {self.gbuffer_channels} were expected")
         named = dict(zip(self.gbuffer_channels, gbuffer.split(sizes, dim=1), strict=True))
+        unit = exposure[:, None, None, None]
+        named |= {name: log_encode(light / unit) for name, light in named.items() if name in LIGHT_CHANNELS}
         return lambda names: torch.cat([gbuffer[:, :0], *(named[name] for name in names)], dim=1)
 
 

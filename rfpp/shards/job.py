@@ -10,7 +10,9 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 
 from rfpp.errors import SceneError, UserError
+from rfpp.gbuffer.direct_light import with_direct_light
 from rfpp.gbuffer.first_hit import GBuffer, camera_caster, first_hit
+from rfpp.gbuffer.light_sampler import LightSampler
 from rfpp.gbuffer.raycast import RayCaster
 from rfpp.reference.cycles import CyclesSettings
 from rfpp.scene.camera import camera_to_world
@@ -21,7 +23,7 @@ from rfpp.shards.tar import pack
 
 #: Part of every seed: never renumber. `train_newviews` shows training scenes to other cameras.
 SPLIT_CODES = {"train": 0, "train_newviews": 1, "test": 2, "validation": 3}
-_ROLES = {"scene": 0, "cameras": 1, "render": 2}
+_ROLES = {"scene": 0, "cameras": 1, "render": 2, "light": 3}
 
 
 @runtime_checkable
@@ -41,6 +43,7 @@ class DatasetSettings:
         seed: non-negative; with split and index it determines every scene.
         resolution: images are square, this many pixels wide.
         views: cameras per scene.
+        light_samples: shadow rays per light and pixel of the G-buffers' direct light.
         splits: scenes in each split of `SPLIT_CODES`; "train_newviews" are the first training scenes, other cameras.
         scenes_per_shard: scenes in one tar.
         workers: render processes; 0 is one per core.
@@ -55,6 +58,7 @@ class DatasetSettings:
     seed: int
     resolution: int
     views: int
+    light_samples: int
     splits: Mapping[str, int]
     scenes_per_shard: int
     workers: int
@@ -64,7 +68,7 @@ class DatasetSettings:
     scene_attempts: int
 
     def __post_init__(self) -> None:
-        for name in ("resolution", "views", "scenes_per_shard", "camera_attempts", "scene_attempts"):
+        for name in ("resolution", "views", "light_samples", "scenes_per_shard", "camera_attempts", "scene_attempts"):
             if getattr(self, name) < 1:
                 raise UserError(f"data.{name} is {getattr(self, name)}: use 1 or more")
         if self.seed < 0:
@@ -149,7 +153,8 @@ class SceneJob:
             images = self._render(task, attempt, triangles, c2w, fov)
             if pinned or not images.mean() < self.data.min_radiance:  # NaN goes on, to be reported by `encode`
                 redraws = {"scene": attempt, "cameras": camera_redraws}
-                sample = SceneSample(task.key, triangles, c2w, fov, images, gbuffers, self._meta(task, scene, redraws))
+                lit = self._with_light(task, attempt, triangles, gbuffers, c2w, fov)
+                sample = SceneSample(task.key, triangles, c2w, fov, images, lit, self._meta(task, scene, redraws))
                 return _packed(sample, redraws)
         raise SceneError(
             f"{task.key}: no acceptable views in {self.data.scene_attempts} scenes x {self.data.camera_attempts} "
@@ -199,6 +204,21 @@ class SceneJob:
         seed = self._seed(task.split, task.index, "render", attempt, self.reference.seed).generate_state(1)[0]
         settings = dataclasses.replace(self.reference, seed=int(seed >> 1))  # Cycles takes 31 bits
         return self.render(triangles, c2w, fov, self.data.resolution, self.data.resolution, settings)
+
+    def _with_light(
+        self,
+        task: SceneTask,
+        attempt: int,
+        triangles: SceneTriangles,
+        gbuffers: tuple[GBuffer, ...],
+        c2w: np.ndarray,
+        fov: np.ndarray,
+    ) -> tuple[GBuffer, ...]:
+        sampler = LightSampler(triangles)
+        seeds = self._seed(task.split, task.index, "light", attempt).generate_state(len(gbuffers))
+        views = zip(gbuffers, c2w, fov, seeds, strict=True)
+        samples = self.data.light_samples
+        return tuple(with_direct_light(g, m, f, sampler, samples, int(seed)) for g, m, f, seed in views)
 
     def _seed(self, split: str, index: int, role: str, attempt: int, detail: int = 0) -> np.random.SeedSequence:
         return np.random.SeedSequence([self.data.seed, SPLIT_CODES[split], index, _ROLES[role], attempt, detail])

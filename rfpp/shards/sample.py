@@ -17,11 +17,11 @@ from safetensors.numpy import save as save_arrays
 
 from rfpp.errors import ShardError
 from rfpp.exr import HALF_MAX, ImageFileError, decode_exr, encode_exr
-from rfpp.gbuffer.first_hit import GBuffer
+from rfpp.gbuffer.first_hit import DirectLight, GBuffer
 from rfpp.scene.triangles import SceneTriangles
 
 #: Raised whenever a member, a dtype or a meaning changes; data of another version is refused, never guessed at.
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +34,7 @@ class SceneSample:
         c2w: [V, 4, 4] float32 camera-to-world, Blender axes.
         fov: [V] float32 degrees along the longer image side.
         images: [V, H, W, 3] float32 linear radiance; half-precision values once stored.
-        gbuffers: V G-buffers.
+        gbuffers: V G-buffers with their direct light.
         meta: JSON-able: how the scene was made.
     """
 
@@ -67,12 +67,15 @@ def encode(sample: SceneSample) -> dict[str, bytes]:
         "cameras.safetensors": save_arrays({name: np.ascontiguousarray(a) for name, a in cameras.items()}),
     }
     for view, (image, gbuffer) in enumerate(zip(sample.images, sample.gbuffers, strict=True)):
-        _require_half_range(image, f"{sample.key}: view {view}")
+        light = {"direct_diffuse": gbuffer.light.diffuse, "direct_glossy": gbuffer.light.glossy}
+        for name, radiance in {"RGB": image, **light}.items():
+            _require_half_range(radiance, f"{sample.key}: view {view}: {name}")
         layers = {
             "RGB": image.astype(np.float16),
             "normal": gbuffer.normal.astype(np.float16),
             "depth": gbuffer.depth.astype(np.float32),
             "triangle": (gbuffer.triangle + 1).astype(np.uint32),
+            **{name: radiance.astype(np.float16) for name, radiance in light.items()},
         }
         members[f"view{view}.exr"] = encode_exr(layers)
     return members
@@ -111,7 +114,8 @@ def decode(key: str, members: Mapping[str, bytes]) -> SceneSample:
 
 def _gbuffer(layers: Mapping[str, np.ndarray]) -> GBuffer:
     triangle = layers["triangle"].astype(np.int32) - 1
-    return GBuffer(triangle=triangle, normal=layers["normal"].astype(np.float32), depth=layers["depth"])
+    light = DirectLight(*(layers[name].astype(np.float32) for name in ("direct_diffuse", "direct_glossy")))
+    return GBuffer(triangle, layers["normal"].astype(np.float32), layers["depth"], light)
 
 
 def _per_object_if_constant(triangles: SceneTriangles) -> np.ndarray:
@@ -130,7 +134,7 @@ def _per_triangle(material: np.ndarray, object_offsets: np.ndarray) -> np.ndarra
 
 def _require_half_range(image: np.ndarray, name: str) -> None:
     if not np.isfinite(image).all():
-        raise ShardError(f"{name}: the rendered radiance is NaN or infinite: check the scene's materials and lights")
+        raise ShardError(f"{name}: NaN or infinite radiance: check the scene's materials and lights")
     if np.abs(image).max() > HALF_MAX:
         raise ShardError(
             f"{name}: radiance {np.abs(image).max():.6g} is beyond half precision ({HALF_MAX:.0f}): lower the emission"

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from torch.utils.data import Dataset, Sampler
 
 from rfpp.batch import SceneViews
-from rfpp.gbuffer.first_hit import CHANNELS, stack_channels
+from rfpp.gbuffer.first_hit import CHANNELS, COLOUR_CHANNELS, stack_channels
 from rfpp.scene.triangles import DIFFUSE, EMISSION, SPECULAR, SceneTriangles
 from rfpp.shards.sample import SceneSample
 from rfpp.shards.stream import EpochSampler, ShardSplit
@@ -78,7 +78,7 @@ class ColourPermutation:
             material[:, colour] = material[:, colour][:, order]
         gbuffer, start = views.gbuffer.copy(), 0
         for name in channels:
-            if name in ("albedo", "specular"):
+            if name in COLOUR_CHANNELS:
                 gbuffer[:, start : start + 3] = gbuffer[:, start : start + 3][:, order]
             start += CHANNELS[name]
         triangles = replace(views.triangles, material=material)

@@ -8,7 +8,9 @@ import torch
 from known_scenes import look_at, still_life
 from torch import nn
 
+from rfpp.gbuffer.direct_light import with_direct_light
 from rfpp.gbuffer.first_hit import first_hit, stack_channels
+from rfpp.gbuffer.light_sampler import LightSampler
 from rfpp.model.renderformer_pp import Rendering
 from rfpp.radiance import log_encode
 from rfpp.shards.manifest import MANIFEST_FILE, manifest_json
@@ -22,7 +24,11 @@ POSES = [look_at((0.9, 0.2, 0.9)), look_at((-0.3, -1.0, 0.8))]
 
 def _sample(key: str, seed: int, brightness: float) -> SceneSample:
     triangles = still_life(seed)
-    gbuffers = tuple(first_hit(triangles, pose, 45.0, SIZE, SIZE) for pose in POSES)
+    sampler = LightSampler(triangles)
+    gbuffers = tuple(
+        with_direct_light(first_hit(triangles, pose, 45.0, SIZE, SIZE), pose, 45.0, sampler, samples=1)
+        for pose in POSES
+    )
     albedo = [stack_channels(g, triangles.material, 45.0, ["albedo"]).transpose(1, 2, 0) for g in gbuffers]
     return SceneSample(
         key=key,

@@ -81,7 +81,7 @@ def test_channels_are_stacked_in_the_order_asked_for():
     gbuffer = first_hit(scene, pose, 60, 24, 32)
     names = ["position", "albedo", "roughness", "normal", "specular", "depth"]
     stacked = stack_channels(gbuffer, scene.material, 60, names)
-    assert stacked.shape == (sum(CHANNELS.values()), 24, 32) and stacked.dtype == np.float32
+    assert stacked.shape == (14, 24, 32) and stacked.dtype == np.float32
     assert 0 < gbuffer.hit.mean() < 1 and not stacked[:, ~gbuffer.hit].any()
     parts = dict(zip(names, np.split(stacked, np.cumsum([CHANNELS[n] for n in names])[:-1]), strict=True))
     row = scene.material[gbuffer.triangle[gbuffer.hit]]

@@ -1,8 +1,12 @@
 import pytest
 import torch
 
-from rfpp.metrics.baselines import AlbedoTimesConstant, Black, MeanImage
+from rfpp.metrics.baselines import CHANNELS, AlbedoTimesConstant, Black, DirectLightAlone, MeanImage
 from rfpp.radiance import log_encode
+
+
+def _only(albedo: torch.Tensor) -> dict[str, torch.Tensor]:
+    return {"albedo": albedo}
 
 
 def _albedo(seed: int, n: int = 4, size: int = 20) -> torch.Tensor:
@@ -12,20 +16,20 @@ def _albedo(seed: int, n: int = 4, size: int = 20) -> torch.Tensor:
 
 
 def test_black_is_black() -> None:
-    assert Black().fit([]).predict(_albedo(0)).abs().max() == 0
+    assert Black().fit([]).predict(_only(_albedo(0))).abs().max() == 0
 
 
 def test_mean_image_is_the_mean_of_log_radiance() -> None:
     images = [torch.rand(2, 3, 8, 8, generator=torch.Generator().manual_seed(seed)) for seed in range(3)]
-    fitted = MeanImage().fit((image, image) for image in images)
-    prediction = fitted.predict(torch.zeros(5, 3, 8, 8))
+    fitted = MeanImage().fit((_only(image), image) for image in images)
+    prediction = fitted.predict(_only(torch.zeros(5, 3, 8, 8)))
     expected = log_encode(torch.cat(images)).mean(dim=0)
     torch.testing.assert_close(log_encode(prediction), expected.expand(5, 3, 8, 8))
 
 
 @pytest.mark.parametrize("constant", [0.03, 0.6, 7.0])
 def test_the_constant_is_recovered(constant: float) -> None:
-    fitted = AlbedoTimesConstant().fit((_albedo(seed), constant * _albedo(seed)) for seed in range(3))
+    fitted = AlbedoTimesConstant().fit((_only(_albedo(seed)), constant * _albedo(seed)) for seed in range(3))
     assert fitted.constant == pytest.approx(constant, rel=0.01)
 
 
@@ -33,7 +37,7 @@ def test_no_other_constant_does_better_on_noisy_data() -> None:
     noise = torch.distributions.LogNormal(0.0, 1.0)
     torch.manual_seed(0)
     samples = [(a, 0.4 * a * noise.sample(a.shape)) for a in map(_albedo, range(6))]
-    fitted = AlbedoTimesConstant().fit(samples)
+    fitted = AlbedoTimesConstant().fit((_only(albedo), image) for albedo, image in samples)
     albedo, image = (torch.cat(parts) for parts in zip(*samples, strict=True))
 
     def loss(constant: float) -> float:
@@ -44,6 +48,12 @@ def test_no_other_constant_does_better_on_noisy_data() -> None:
 
 
 def test_prediction_scales_with_albedo() -> None:
-    fitted = AlbedoTimesConstant().fit([(_albedo(0), 0.5 * _albedo(0))])
+    fitted = AlbedoTimesConstant().fit([(_only(_albedo(0)), 0.5 * _albedo(0))])
     albedo = _albedo(1)
-    torch.testing.assert_close(fitted.predict(2 * albedo), 2 * fitted.predict(albedo))
+    torch.testing.assert_close(fitted.predict(_only(2 * albedo)), 2 * fitted.predict(_only(albedo)))
+
+
+def test_direct_light_is_reflected_by_both_lobes() -> None:
+    gbuffer = {name: _albedo(seed) for seed, name in enumerate(CHANNELS)}
+    expected = _albedo(0) * _albedo(2) + _albedo(1) * _albedo(3)
+    torch.testing.assert_close(DirectLightAlone().predict(gbuffer), expected)

@@ -9,7 +9,9 @@ from networks import network
 from random_scenes import random_views
 
 from rfpp.batch import RaggedBatch, SceneViews
+from rfpp.gbuffer.first_hit import LIGHT_CHANNELS
 from rfpp.model.exposure import ArrivingLight, UnitExposure
+from rfpp.model.ray_bundle import CameraOrigin
 from rfpp.scene.triangles import EMISSION, SceneTriangles
 from rfpp.training.views import moved
 
@@ -94,16 +96,21 @@ def test_exposure_of_a_packed_scene_is_its_own_and_a_rigid_motion_does_not_chang
 
 
 def with_brighter_lights(views: SceneViews, factor: float) -> SceneViews:
+    """The scene's emission and the direct light in its quickstart G-buffer (the last six channels) times a factor."""
     old: SceneTriangles = views.triangles
     material = old.material.copy()
     material[:, EMISSION] *= factor
-    return replace(views, triangles=replace(old, material=material))
+    gbuffer = views.gbuffer.copy()
+    gbuffer[:, -6:] *= factor
+    return replace(views, triangles=replace(old, material=material), gbuffer=gbuffer)
 
 
 @pytest.mark.parametrize("factor", [0.01, 2.0, 50.0])
 def test_brighter_lights_make_the_image_brighter_by_the_same(factor):
     net = network(*QUICKSTART)
-    views = random_views(np.random.default_rng(3), (12, 6, 1, 1), channels=13)
+    net.decoder.ray_position = CameraOrigin()  # whose position would otherwise be the last channel
+    assert net.gbuffer_channels[-2:] == LIGHT_CHANNELS
+    views = random_views(np.random.default_rng(3), (12, 6, 1, 1), channels=16)
 
     def radiance(sample):
         with torch.no_grad():

@@ -17,7 +17,7 @@ VARIANTS = {
     "paper": (),
     "quickstart": ("+experiment=quickstart",),
 }
-MOST_CHANNELS = 13
+MOST_CHANNELS = 19
 
 
 @pytest.fixture(params=VARIANTS.values(), ids=VARIANTS.keys())

@@ -6,7 +6,8 @@ from networks import network
 from random_scenes import random_views
 
 from rfpp.batch import RaggedBatch
-from rfpp.model.shading import LogRadiance, ReflectedLight
+from rfpp.model.shading import LightBeyondDirect, LogRadiance, ReflectedLight
+from rfpp.radiance import log_encode
 
 
 def test_log_radiance_is_decoded():
@@ -20,11 +21,31 @@ def test_reflected_light_is_diffuse_plus_glossy():
     torch.testing.assert_close(ReflectedLight()(maps, gbuffer), expected)
 
 
+def test_nothing_beyond_direct_is_the_direct_light_alone():
+    albedo, specular, diffuse, glossy = lit = torch.rand(4, 2, 3, 4, 4) * torch.tensor([1, 1, 9, 9]).view(4, 1, 1, 1, 1)
+    gbuffer = torch.cat([albedo, specular, log_encode(diffuse), log_encode(glossy)], dim=1)
+    nothing = torch.zeros(2, 6, 4, 4, requires_grad=True)
+    image = LightBeyondDirect()(nothing, gbuffer)
+    torch.testing.assert_close(image, albedo * diffuse + specular * glossy)
+    assert (LightBeyondDirect()(nothing + 0.1, gbuffer) > image).all()
+    assert lit.min() > 0
+    image.sum().backward()
+    assert (nothing.grad > 0).all()
+
+
+def test_a_pixel_below_zero_is_nearly_black_and_can_come_back():
+    maps = torch.full((1, 3, 2, 2), -3.0, requires_grad=True)
+    image = LogRadiance()(maps, torch.empty(1, 0, 2, 2))
+    assert (image.abs() < 3e-3).all()
+    (-image.sum()).backward()  # a loss that asks for more light
+    assert (maps.grad < -1).all()
+
+
 def test_a_surface_that_reflects_nothing_is_black_and_colours_come_from_their_own_reflectance():
     net = network("+experiment=quickstart")
-    views = random_views(np.random.default_rng(0), channels=13)
+    views = random_views(np.random.default_rng(0), channels=19)
     names = net.gbuffer_channels
-    assert names == ("albedo", "normal", "roughness", "specular", "position")
+    assert names == ("albedo", "normal", "roughness", "specular", "direct_diffuse", "direct_glossy", "position")
     views.gbuffer[:, :3] = 0  # albedo
     views.gbuffer[:, 7:10] = 0  # specular
     views.gbuffer[:, 1, :, :8] = 0.5  # a left half with green albedo

@@ -7,10 +7,12 @@ import pytest
 from small_data import BoxFamily
 
 from rfpp.errors import ShardError
+from rfpp.gbuffer.direct_light import with_direct_light
 from rfpp.gbuffer.first_hit import CHANNELS, first_hit, stack_channels
+from rfpp.gbuffer.light_sampler import LightSampler
 from rfpp.scene.camera import camera_to_world
 from rfpp.scene.triangles import SceneTriangles
-from rfpp.shards.sample import SceneSample, decode, encode
+from rfpp.shards.sample import SCHEMA_VERSION, SceneSample, decode, encode
 from rfpp.shards.tar import pack, unpack
 
 
@@ -20,7 +22,11 @@ def sample() -> SceneSample:
     triangles = SceneTriangles.from_scene(scene)
     c2w = np.stack([camera_to_world(camera) for camera in scene.cameras])
     fov = np.array([camera.fov for camera in scene.cameras], np.float32)
-    gbuffers = tuple(first_hit(triangles, pose, float(f), 12, 12) for pose, f in zip(c2w, fov, strict=True))
+    sampler = LightSampler(triangles)
+    gbuffers = tuple(
+        with_direct_light(first_hit(triangles, pose, f, 12, 12), pose, f, sampler, samples=2)
+        for pose, f in zip(c2w, fov, strict=True)
+    )
     images = np.random.default_rng(3).exponential(0.5, (2, 12, 12, 3)).astype(np.float32)
     return SceneSample("train-000001", triangles, c2w, fov, images, gbuffers, {"family": "boxes", "index": 1})
 
@@ -48,9 +54,8 @@ def test_every_gbuffer_channel_can_be_looked_up(sample):
         assert original.hit.any()
         assert stored.triangle.dtype == np.int32
         expected = stack_channels(original, sample.triangles.material, 45.0, list(CHANNELS))
-        np.testing.assert_allclose(
-            stack_channels(stored, again.triangles.material, 45.0, list(CHANNELS)), expected, atol=5e-4
-        )
+        got = stack_channels(stored, again.triangles.material, 45.0, list(CHANNELS))
+        np.testing.assert_allclose(got, expected, atol=5e-4, rtol=2**-11)
 
 
 def test_stored_values_are_a_fixed_point_and_bytes_are_reproducible(sample):
@@ -83,7 +88,7 @@ def test_missing_damaged_and_foreign_members_are_named(sample):
     for name in ("view0.exr", "geometry.safetensors", "meta.json"):
         with pytest.raises(ShardError, match="train-000001"):
             decode(sample.key, {**members, name: members[name][: len(members[name]) // 2]})
-    foreign = members["meta.json"].replace(b'"schema_version": 1', b'"schema_version": 99')
+    foreign = members["meta.json"].replace(b'"schema_version": %d' % SCHEMA_VERSION, b'"schema_version": 99')
     with pytest.raises(ShardError, match="schema version"):
         decode(sample.key, {**members, "meta.json": foreign})
 

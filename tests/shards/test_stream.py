@@ -12,7 +12,7 @@ from torch.utils.data import DataLoader
 
 from rfpp.errors import ShardError
 from rfpp.shards import stream
-from rfpp.shards.sample import decode
+from rfpp.shards.sample import SCHEMA_VERSION, decode
 from rfpp.shards.stream import EpochSampler, ShardSplit
 
 
@@ -114,7 +114,7 @@ def test_a_manifest_of_other_data_is_noticed(copied):
         ShardSplit(copied, "train")[0]
 
 
-@pytest.mark.parametrize("text", ['{"schema_version": 1}', "[]", "not json", '{"name": 3}'])
+@pytest.mark.parametrize("text", [f'{{"schema_version": {SCHEMA_VERSION}}}', "[]", "not json", '{"name": 3}'])
 def test_a_broken_manifest_is_named(copied, text):
     (copied / "manifest.json").write_text(text)
     with pytest.raises(ShardError, match=r"manifest\.json.*not a data set manifest"):
@@ -123,8 +123,8 @@ def test_a_broken_manifest_is_named(copied, text):
 
 def test_another_schema_version_is_refused(copied):
     path = copied / "manifest.json"
-    path.write_text(json.dumps({**json.loads(path.read_text()), "schema_version": 2}))
-    with pytest.raises(ShardError, match="schema version 2, this code reads 1"):
+    path.write_text(json.dumps({**json.loads(path.read_text()), "schema_version": SCHEMA_VERSION + 1}))
+    with pytest.raises(ShardError, match=f"schema version {SCHEMA_VERSION + 1}, this code reads {SCHEMA_VERSION}"):
         ShardSplit(copied, "train")
 
 

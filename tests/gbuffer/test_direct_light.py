@@ -1,0 +1,187 @@
+"""Direct light against closed forms, numeric integration, and Cycles' own direct passes."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from known_scenes import LIGHT, look_at, material, moved, pack, rigid_motion, sphere, square, still_life
+from marks import requires_blender
+
+from rfpp.gbuffer import direct_light
+from rfpp.gbuffer.direct_light import with_direct_light
+from rfpp.gbuffer.first_hit import DirectLight, GBuffer, first_hit, stack_channels
+from rfpp.gbuffer.light_sampler import LightSampler
+from rfpp.gbuffer.polygon_light import form_factor
+from rfpp.reference.cycles import CyclesSettings, render_passes
+from rfpp.scene.camera import camera_to_world
+from rfpp.scene.spec import Scene
+from rfpp.scene.triangles import EMISSION, SceneTriangles
+
+ROOT = Path(__file__).parents[2]
+POSE = look_at((0.3, -1.5, 0.9), (0, 0, 0.1))
+
+
+def lit(scene: SceneTriangles, pose=POSE, samples=8, size=32, fov=40.0, seed=0) -> GBuffer:
+    return with_direct_light(first_hit(scene, pose, fov, size, size), pose, fov, LightSampler(scene), samples, seed)
+
+
+def light(*args, **kwargs) -> DirectLight:
+    return lit(*args, **kwargs).light
+
+
+def relative_error(image, truth) -> float:
+    return float(np.abs(image - truth).mean() / truth.mean())
+
+
+def test_a_small_triangle_far_away_is_a_point_light():
+    corners = 0.01 * np.array([[[0, 0, 0], [1, 0, 0.3], [0, 1, -0.2]]]) + [0.3, -0.4, 2.0]
+    cross = np.cross(corners[0, 1] - corners[0, 0], corners[0, 2] - corners[0, 0])
+    way = corners[0].mean(0)
+    distance = np.linalg.norm(way)
+    expected = np.linalg.norm(cross) / 2 * abs(cross @ way) / np.linalg.norm(cross) * way[2] / distance**4 / np.pi
+    got = form_factor(np.zeros((1, 3)), np.array([[0, 0, 1.0]]), corners)
+    assert got[0, 0] == pytest.approx(expected, rel=1e-3)
+
+
+def test_light_all_around_a_point_gives_one_whatever_the_normal():
+    shell = sphere(2.0, subdivisions=2)
+    normals = np.random.default_rng(0).normal(size=(20, 3))
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    points = np.random.default_rng(1).uniform(-0.5, 0.5, (20, 3))
+    np.testing.assert_allclose(form_factor(points, normals, shell).sum(1), 1, rtol=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_triangles_cut_by_the_horizon_match_numeric_integration(seed):
+    rng = np.random.default_rng(seed)
+    corners = rng.uniform(-1, 1, (1, 3, 3)) + [0.4, 0.9, 0.0]
+    normal = np.array([[0, 0, 1.0]])
+    assert (corners[0, :, 2] > 0).any() and (corners[0, :, 2] < 0).any()
+    side = (np.arange(700) + 0.5) / 700
+    u, v = (a.ravel() for a in np.meshgrid(side, side))
+    root = np.sqrt(u)[:, None]
+    a, b, c = corners[0]
+    points = (1 - root) * a + root * (1 - v[:, None]) * b + root * v[:, None] * c
+    cross = np.cross(b - a, c - a)
+    distance2 = (points**2).sum(-1)
+    expected = (np.abs(points @ cross) / 2 * points[:, 2].clip(0) / distance2**2).mean() / np.pi
+    assert form_factor(np.zeros((1, 3)), normal, corners)[0, 0] == pytest.approx(expected, rel=5e-3, abs=1e-6)
+
+
+def test_an_open_floor_carries_no_noise_and_a_roof_makes_it_dark():
+    lamp = (LIGHT * 2.5 + [0, 0, 2.0], material(1.0, emission=1000.0))
+    floor = (square(40), material(0.5, specular=0.3))
+    open_floor = light(pack(floor, lamp), samples=1)
+    np.testing.assert_array_equal(open_floor.diffuse, light(pack(floor, lamp), samples=1, seed=5).diffuse)
+    seen = first_hit(pack(floor, lamp), POSE, 40.0, 32, 32).hit
+    assert (open_floor.diffuse[seen] > 0).all() and not open_floor.diffuse[~seen].any()
+    roofed = light(pack(floor, lamp, (square(40, z=1.5), material(0.5))))
+    assert not roofed.diffuse.any() and not roofed.glossy.any()
+
+
+def test_half_a_light_behind_a_wall_gives_its_half():
+    lamp = (square(0.4, z=2.0), material(1.0, emission=10.0))
+    floor = (square(4), material(0.5))
+    wall = (square(20, z=1.0) + [10, 0, 0], material(0.0))  # covers x > 0
+    pose = look_at((0.0, 0.0, 0.9), up=(0, 1, 0))
+    whole, half = (light(pack(floor, lamp, *w), pose, samples=256, size=1, fov=1.0).diffuse for w in ((), (wall,)))
+    np.testing.assert_allclose(half, whole / 2, rtol=0.02)
+
+
+def test_a_mirror_shows_the_light_at_its_radiance():
+    lamp = (square(2.0, z=2.0), material(1.0, emission=(3.0, 2.0, 1.0)))
+    mirror = (square(2), material(0.0, specular=0.8, roughness=0.1))
+    glossy = light(pack(mirror, lamp), look_at((0.0, -0.1, 0.5), up=(0, 1, 0)), fov=10.0).glossy
+    np.testing.assert_allclose(glossy.mean((0, 1)), [3.0, 2.0, 1.0], rtol=0.01)
+    np.testing.assert_allclose(glossy, np.broadcast_to([3.0, 2.0, 1.0], glossy.shape), rtol=0.25)
+
+
+@pytest.mark.parametrize("roughness", [0.1, 0.4, 1.0])
+def test_more_samples_find_the_same_light(roughness):
+    floor = (square(), material(0.2, specular=0.7, roughness=roughness))
+    scene = pack(floor, (square(0.5) + [0.2, 0.3, 0.6], material(1.0, emission=5.0)))
+    few = np.stack([light(scene, samples=2, size=8, seed=seed).glossy for seed in range(200)])
+    many = light(scene, samples=2000, size=8).glossy
+    standard_error = few.std(0) / len(few) ** 0.5
+    assert (np.abs(few.mean(0) - many) < 5 * standard_error + 0.005 * many.max()).all()
+    assert few.mean() == pytest.approx(many.mean(), rel=0.02)
+
+
+def test_an_emissive_mesh_is_one_light_in_every_way():
+    lamp, floor = sphere(0.2, (0.3, 0.2, 0.9), subdivisions=2), (square(), material(0.5, specular=0.4, roughness=0.4))
+    glowing = material(1.0, emission=20.0)
+    together = pack(floor, (lamp, glowing))
+    apart = pack(floor, *((triangle[None], glowing) for triangle in lamp))
+    assert LightSampler(together).lights == 1
+    assert LightSampler(apart).lights == len(lamp)
+    one, many = light(together, samples=256, size=8), light(apart, samples=16, size=8)
+    np.testing.assert_allclose(one.glossy, many.glossy, rtol=0.1, atol=0.02 * many.glossy.max())
+    # the far side of a sphere is hidden by the near one, which shadow rays must find
+    np.testing.assert_allclose(one.diffuse, many.diffuse, rtol=0.05)
+
+
+def test_lights_add_up():
+    scene = still_life()
+    parts = []
+    for kept in ((3, 4), (3,), (4,)):
+        emission = scene.material.copy()
+        dark = scene.is_emissive & ~np.isin(scene.object_index, kept)
+        emission[dark, EMISSION] = 1e-30  # still a light, so still unseen by the camera
+        parts.append(light(SceneTriangles(**{**vars(scene), "material": emission}), samples=64))
+    np.testing.assert_allclose(parts[0].diffuse, parts[1].diffuse + parts[2].diffuse, rtol=1e-4, atol=1e-4)
+
+
+def test_rigid_motion_of_scene_and_camera_changes_nothing():
+    scene, motion = still_life(), rigid_motion()
+    here, there = lit(scene), lit(moved(scene, motion), (motion @ POSE).astype(np.float32))
+    same = here.triangle == there.triangle
+    error = np.abs(here.light.diffuse - there.light.diffuse)[same]
+    assert np.median(error) < 1e-4 * here.light.diffuse.max()
+    assert relative_error(there.light.diffuse[same], here.light.diffuse[same]) < 0.01
+
+
+def test_the_seed_decides_and_the_working_size_does_not(monkeypatch):
+    scene = still_life()
+    first, again, other = light(scene), light(scene), light(scene, seed=1)
+    np.testing.assert_array_equal(first.glossy, again.glossy)
+    assert not np.array_equal(first.glossy, other.glossy)
+    monkeypatch.setattr(direct_light, "_CHUNK", 100)
+    np.testing.assert_allclose(light(scene).glossy, first.glossy, rtol=1e-6)
+
+
+def test_a_scene_without_light_is_dark_and_channels_carry_the_light():
+    scene = still_life()
+    dark = SceneTriangles(**{**vars(scene), "material": scene.material * ([1] * 7 + [0] * 3)})
+    assert not light(dark).diffuse.any() and not light(dark).glossy.any()
+    gbuffer = lit(scene)
+    stacked = stack_channels(gbuffer, scene.material, 40.0, ["direct_glossy", "direct_diffuse"])
+    np.testing.assert_array_equal(stacked[3:], gbuffer.light.diffuse.transpose(2, 0, 1))
+    with pytest.raises(ValueError, match="without direct light"):
+        stack_channels(first_hit(scene, POSE, 40.0, 8, 8), scene.material, 40.0, ["direct_diffuse"])
+
+
+@requires_blender
+@pytest.mark.parametrize("name", ["still life", "cornell_box", "many_objects_table", "roughness_spheres"])
+def test_agrees_with_cycles_direct_passes(in_blender, name):
+    if name == "still life":
+        scene, pose, fov = still_life(), POSE, 40.0
+    else:
+        described = Scene.load(ROOT / "data" / "scenes" / f"{name}.json")
+        scene, camera = SceneTriangles.from_scene(described), described.cameras[0]
+        pose, fov = camera_to_world(camera), float(camera.fov)
+    quick = yaml.safe_load((ROOT / "conf" / "reference" / "quickstart.yaml").read_text())
+    exact = {"samples": 256, "denoise": False, "adaptive_threshold": 0.0, "light_threshold": 0.0, "max_bounces": 0}
+    settings = {k: v for k, v in quick.items() if k != "_target_"} | exact | {"filter_width": 0.01, "threads": 1}
+    names = ["diffuse_direct", "diffuse_color", "glossy_direct", "glossy_color"]
+    one_view = (pose[None].astype(np.float32), np.array([fov], np.float32))
+    cycles = in_blender(render_passes, scene, *one_view, 48, 48, CyclesSettings(**settings), names)
+    gbuffer = lit(scene, pose, samples=64, size=48, fov=fov)
+    albedo, specular = np.split(stack_channels(gbuffer, scene.material, fov, ["albedo", "specular"]), 2)
+    diffuse, glossy = (
+        gbuffer.light.diffuse.transpose(2, 0, 1) * albedo,
+        gbuffer.light.glossy.transpose(2, 0, 1) * specular,
+    )
+    expected = {lobe: (cycles[f"{lobe}_direct"] * cycles[f"{lobe}_color"])[0] for lobe in ("diffuse", "glossy")}
+    assert relative_error(diffuse.transpose(1, 2, 0), expected["diffuse"]) < 0.02
+    assert relative_error(glossy.transpose(1, 2, 0), expected["glossy"]) < 0.05
