@@ -50,7 +50,7 @@ def test_a_white_lobe_returns_all_the_light_it_gets(roughness, cosine):
 
 def test_the_lobe_is_reciprocal_and_dark_from_below():
     rng = np.random.default_rng(1)
-    a, b = (v / np.linalg.norm(v, axis=-1, keepdims=True) for v in rng.normal(size=(2, 200, 3)) + [0, 0, 1])
+    a, b = (v / np.linalg.norm(v, axis=-1, keepdims=True) for v in rng.normal((0, 0, 1), size=(2, 200, 3)))
     alpha = rng.uniform(0.05, 1, 200)
     both = (a[:, 2] > 0) & (b[:, 2] > 0)
     assert 0 < both.sum() < 200
