@@ -94,8 +94,8 @@ class Constant:
 
 SETTINGS = DatasetSettings(
     name="small", root="", seed=7, resolution=8, views=2, light_samples=2,
-    splits={"train": 5, "train_newviews": 3, "test": 2}, scenes_per_shard=2, workers=1, min_coverage=0.4, min_radiance=0.01, camera_attempts=20,
-    scene_attempts=10,
+    splits={"train": 5, "train_newviews": 3, "test": 2}, scenes_per_shard=2, workers=1, min_coverage=0.4,
+    min_radiance=0.01, camera_attempts=20, scene_attempts=10,
 )  # fmt: skip
 
 
