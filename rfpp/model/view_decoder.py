@@ -17,6 +17,7 @@ from rfpp.model.block import CrossAttention, RMSNorm, SelfAttention, SwiGLU
 from rfpp.model.camera_space import to_camera
 from rfpp.model.dpt import LEVELS, DPTHead
 from rfpp.model.encoding import RelativeSpatialEncoding, Rotation, rotate
+from rfpp.model.film import CentreSample, PixelFilter
 from rfpp.model.ray_bundle import CameraOrigin, FirstHitPosition, RayBundleEmbedding
 from rfpp.model.shading import LightBeyondDirect, LogRadiance, ReflectedLight
 from rfpp.model.tokenizer import SceneTokens
@@ -35,6 +36,7 @@ class ViewDecoder(nn.Module):
         head_level_channels, head_channels: see DPTHead.
         ray_position: where ray tokens stand: CameraOrigin (the paper's) or FirstHitPosition.
         shading: what the head predicts: LogRadiance (the paper's), ReflectedLight or LightBeyondDirect.
+        film: what a pixel is made of: CentreSample (the paper's) or PixelFilter.
     """
 
     def __init__(
@@ -50,12 +52,13 @@ class ViewDecoder(nn.Module):
         head_channels: int,
         ray_position: CameraOrigin | FirstHitPosition,
         shading: LogRadiance | ReflectedLight | LightBeyondDirect,
+        film: CentreSample | PixelFilter,
     ):
         super().__init__()
         if layers < LEVELS:
             raise ValueError(f"the image head reads the last {LEVELS} decoder layers, but there are {layers}")
         self.rays = RayBundleEmbedding(width, patch_size, gbuffer_channels)
-        self.ray_position, self.shading = ray_position, shading
+        self.ray_position, self.shading, self.film = ray_position, shading, film
         self.position = RelativeSpatialEncoding(width // heads, frequencies)
         self.blocks = nn.ModuleList(DecoderBlock(width, heads, hidden) for _ in range(layers))
         self.head = DPTHead(width, head_level_channels, head_channels, patch_size, shading.maps)
@@ -93,7 +96,7 @@ class ViewDecoder(nn.Module):
 
         grid = (height // self.rays.patch_size, width // self.rays.patch_size)
         maps = [f.view(batch * views, *grid, -1).permute(0, 3, 1, 2) for f in features[-LEVELS:]]
-        radiance = self.shading(self.head(maps, height, width), channels(self.shading.channels))
+        radiance = self.film(self.shading(self.head(maps, height, width), channels(self.shading.channels)))
         return radiance.view(batch, views, 3, height, width)
 
     @property

@@ -54,9 +54,9 @@ def test_large_scale_states_the_papers_settings(composed):
     assert cfg.model.tokenizer.queries == 8
     assert cfg.model.decoder.patch_size == 4
     assert list(cfg.model.decoder.gbuffer_channels) == ["albedo", "normal", "roughness"]
-    parts = (*(cfg.model.decoder[name] for name in ("ray_position", "shading")), cfg.model.exposure)
+    parts = (*(cfg.model.decoder[name] for name in ("ray_position", "shading", "film")), cfg.model.exposure)
     names = [part._target_.rpartition(".")[2] for part in parts]
-    assert names == ["CameraOrigin", "LogRadiance", "UnitExposure"]
+    assert names == ["CameraOrigin", "LogRadiance", "CentreSample", "UnitExposure"]
     assert cfg.datamodule.colour_augmentation is None
     assert (cfg.loss.l1_weight, cfg.loss.lpips_weight, cfg.loss.consistency_weight) == (1.0, 0.05, 0.1)
     assert cfg.loss.lpips_images_per_step is None

@@ -6,6 +6,7 @@ from networks import network
 from random_scenes import random_views
 
 from rfpp.batch import RaggedBatch
+from rfpp.model.film import CentreSample
 from rfpp.model.shading import LightBeyondDirect, LogRadiance, ReflectedLight
 from rfpp.radiance import log_encode
 
@@ -43,6 +44,7 @@ def test_a_pixel_below_zero_is_nearly_black_and_can_come_back():
 
 def test_a_surface_that_reflects_nothing_is_black_and_colours_come_from_their_own_reflectance():
     net = network("+experiment=quickstart")
+    net.decoder.film = CentreSample()
     views = random_views(np.random.default_rng(0), channels=19)
     names = net.gbuffer_channels
     assert names == ("albedo", "normal", "roughness", "specular", "direct_diffuse", "direct_glossy", "position")
