@@ -8,6 +8,7 @@ from hydra.utils import instantiate
 from omegaconf import OmegaConf
 
 from rfpp.entry import CONFIG_DIR
+from rfpp.inference.checkpoint import CheckpointInfo
 from rfpp.model.renderformer_pp import RenderFormerPP
 
 SMALLEST = (
@@ -35,3 +36,9 @@ def network(*overrides: str, seed: int = 0) -> RenderFormerPP:
         if isinstance(part, torch.nn.Linear):
             torch.nn.init.normal_(part.weight, std=1.5 * part.in_features**-0.5)
     return net
+
+
+def checkpoint_info(model: dict | None = None, resolution=(16, 16), **changes) -> CheckpointInfo:
+    """What a checkpoint of a network says about itself."""
+    about = {"data_manifest": "hash", "dataset": "small", "method": "RenderFormer++", "seed": 0, "steps": 10}
+    return CheckpointInfo(model or model_config(), resolution, **about | changes)

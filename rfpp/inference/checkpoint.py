@@ -15,7 +15,7 @@ from rfpp.errors import CheckpointError
 
 #: Where a Lightning checkpoint keeps a `CheckpointInfo`.
 CHECKPOINT_KEY = "rfpp"
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 #: A checkpoint may only name parts from here; anything else in a config is refused, not imported.
 ALLOWED_PREFIX = "rfpp.model."
 #: The network's place in a Lightning state dict.
@@ -30,6 +30,10 @@ class CheckpointInfo:
         model: nested `_target_` config of the network, all values plain.
         resolution: (height, width) the network was trained at.
         data_manifest: hash of the data set's manifest.
+        dataset: its name.
+        method: the network's name in tables of results, e.g. "RenderFormer++".
+        seed: of weights, data order, views and augmentation.
+        steps: optimizer steps it was trained for.
         commit: code version, or None outside a repository.
         mlflow_run_id, mlflow_tracking_uri: the run it belongs to, or None.
         schema_version: of this record.
@@ -38,6 +42,10 @@ class CheckpointInfo:
     model: dict[str, Any]
     resolution: tuple[int, int]
     data_manifest: str
+    dataset: str
+    method: str
+    seed: int
+    steps: int
     commit: str | None = None
     mlflow_run_id: str | None = None
     mlflow_tracking_uri: str | None = None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from typing import Any
 
 import lightning as L
@@ -85,7 +86,7 @@ class RenderingModule(L.LightningModule):
         self.log("train/gradient_norm", norm)
 
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
-        checkpoint[CHECKPOINT_KEY] = self.info.to_dict()
+        checkpoint[CHECKPOINT_KEY] = replace(self.info, steps=self.global_step).to_dict()
 
 
 def decay_groups(network: nn.Module) -> list[dict]:

@@ -5,11 +5,12 @@ import csv
 import pytest
 import torch
 from hydra import compose, initialize_config_dir
+from networks import checkpoint_info
 from omegaconf import OmegaConf
 
 from launch.evaluate import main
 from rfpp.entry import CONFIG_DIR
-from rfpp.inference.checkpoint import CHECKPOINT_KEY, NETWORK_PREFIX, CheckpointInfo, build
+from rfpp.inference.checkpoint import CHECKPOINT_KEY, NETWORK_PREFIX, build
 from rfpp.shards.manifest import Manifest
 
 
@@ -28,7 +29,7 @@ def compose_evaluation(data_root):
 def checkpoint(compose_evaluation, data_root, tmp_path):
     """An untrained small network, saved as training saves it."""
     model = OmegaConf.to_container(compose_evaluation().model, resolve=True)
-    info = CheckpointInfo(model, (16, 16), Manifest.load(data_root).hash)
+    info = checkpoint_info(model, data_manifest=Manifest.load(data_root).hash)
     state = {NETWORK_PREFIX + key: value for key, value in build(model, "test").state_dict().items()}
     path = tmp_path / "run" / "checkpoints" / "best.ckpt"
     path.parent.mkdir(parents=True)

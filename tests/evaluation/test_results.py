@@ -1,4 +1,5 @@
 from mlflow.tracking import MlflowClient
+from networks import checkpoint_info
 
 from rfpp.evaluation.results import log_to_training_run, tracked_metrics
 from rfpp.inference.checkpoint import CheckpointInfo
@@ -7,7 +8,7 @@ MEANS = {("test", "model"): {"log_l1": 0.01}, ("test", "albedo x constant"): {"l
 
 
 def _info(uri: str | None, run_id: str | None) -> CheckpointInfo:
-    return CheckpointInfo({}, (8, 8), "hash", mlflow_run_id=run_id, mlflow_tracking_uri=uri)
+    return checkpoint_info(mlflow_run_id=run_id, mlflow_tracking_uri=uri)
 
 
 def test_names_tell_the_network_from_the_baselines() -> None:

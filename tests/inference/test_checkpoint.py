@@ -4,14 +4,14 @@ import os
 
 import pytest
 import torch
-from networks import model_config, network
+from networks import checkpoint_info, model_config, network
 
 from rfpp.errors import CheckpointError
-from rfpp.inference.checkpoint import CHECKPOINT_KEY, NETWORK_PREFIX, CheckpointInfo, build, load_network
+from rfpp.inference.checkpoint import CHECKPOINT_KEY, NETWORK_PREFIX, build, load_network
 
 
 def save(path, net=None, model=None, **changes):
-    info = {**CheckpointInfo(model or model_config(), (16, 16), "hash").to_dict(), **changes}
+    info = {**checkpoint_info(model).to_dict(), **changes}
     state = {NETWORK_PREFIX + k: v for k, v in (net or network()).state_dict().items()}
     torch.save({CHECKPOINT_KEY: info, "state_dict": state}, path)
     return path

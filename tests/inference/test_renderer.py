@@ -2,18 +2,17 @@
 
 import numpy as np
 import pytest
-from networks import model_config, network
+from networks import checkpoint_info, network
 from small_data import BoxFamily
 
 from rfpp import Renderer
 from rfpp.errors import SceneError, UserError
-from rfpp.inference.checkpoint import CheckpointInfo
 from rfpp.scene.spec import Camera
 
 
 @pytest.fixture(scope="module")
 def renderer():
-    return Renderer(network(), CheckpointInfo(model_config(), (16, 16), "hash"))
+    return Renderer(network(), checkpoint_info())
 
 
 @pytest.fixture(scope="module")

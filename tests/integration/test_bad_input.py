@@ -11,11 +11,11 @@ import pytest
 import torch
 from marks import requires_blender
 from mlflow.exceptions import MlflowException
-from networks import network
+from networks import checkpoint_info, network
 from small_data import make
 
 from rfpp.entry import CONFIG_DIR
-from rfpp.inference.checkpoint import CHECKPOINT_KEY, NETWORK_PREFIX, CheckpointInfo
+from rfpp.inference.checkpoint import CHECKPOINT_KEY, NETWORK_PREFIX
 
 REPOSITORY = CONFIG_DIR.parent
 CORNELL_BOX = REPOSITORY / "data" / "scenes" / "cornell_box.json"
@@ -136,7 +136,7 @@ def checkpoint(composed, tmp_path):
 
     model = OmegaConf.to_container(composed("train", "run_dir=unused").model, resolve=True)
     state = {NETWORK_PREFIX + k: v for k, v in network().state_dict().items()}
-    info = CheckpointInfo(model, (64, 64), "hash").to_dict()
+    info = checkpoint_info(model, (64, 64)).to_dict()
     torch.save({CHECKPOINT_KEY: info, "state_dict": state}, tmp_path / "other.ckpt")
     return tmp_path / "other.ckpt"
 
