@@ -1,10 +1,12 @@
-"""Measure a trained network on stored scenes, beside the trivial baselines.
+"""Measure trained networks on stored scenes, beside the trivial baselines.
 
 python launch/evaluate.py +experiment=quickstart checkpoint=data/runs/quickstart/latest/checkpoints/best.ckpt
+python launch/evaluate.py +experiment=quickstart checkpoint=[a/checkpoints/best.ckpt,b/checkpoints/best.ckpt]
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import torch
@@ -14,10 +16,15 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from rfpp.entry import entry_point
 from rfpp.errors import UserError
-from rfpp.evaluation.evaluate import evaluate_split, fitted_baselines, ranked_scenes, render_stored
+from rfpp.evaluation.buckets import bucketed
+from rfpp.evaluation.confidence import Bootstrap, split_estimates
+from rfpp.evaluation.csv_files import write_buckets, write_records, write_summary
+from rfpp.evaluation.evaluate import baseline_records, fitted_baselines, network_records, ranked_scenes, render_stored
+from rfpp.evaluation.evaluation_file import Evaluation
 from rfpp.evaluation.panels import save_scene_panel
-from rfpp.evaluation.results import log_to_training_run
-from rfpp.evaluation.tables import results_table, split_means, write_csv
+from rfpp.evaluation.printed import results_table
+from rfpp.evaluation.records import ImageRecord, scene_records
+from rfpp.evaluation.results import log_to_training_run, results_folder
 from rfpp.inference.checkpoint import load_network
 from rfpp.metrics.image import ImageMetrics
 from rfpp.metrics.lpips import LPIPS
@@ -26,43 +33,78 @@ from rfpp.training.run import write_config
 
 
 @entry_point("evaluate")
-def main(cfg: DictConfig) -> dict[tuple[str, str], dict[str, float]]:
-    """Evaluate `cfg.checkpoint` on `cfg.evaluation.splits`; returns the mean metrics by (split, predictor)."""
+def main(cfg: DictConfig) -> list[Evaluation]:
+    """Evaluate each of `cfg.checkpoint` on `cfg.evaluation.splits`; returns what each scored, in the same order."""
     console = Console(highlight=False)
-    if OmegaConf.is_missing(cfg, "checkpoint"):
-        raise UserError("checkpoint is not given: add checkpoint=<run folder>/checkpoints/best.ckpt")
-    device = torch.device(cfg.device or ("cuda" if torch.cuda.is_available() else "cpu"))
-    network, info = load_network(cfg.checkpoint)
-    network.to(device)
-    output = Path(cfg.output) if cfg.output else Path(cfg.checkpoint).parents[1] / "evaluation"
-
     splits = [ShardSplit(cfg.data.root, name) for name in cfg.evaluation.splits]
-    if info.data_manifest != splits[0].manifest.hash:
-        console.print(f"Note: {cfg.checkpoint} was trained on another data set than {cfg.data.root}.", style="yellow")
+    outputs = _outputs(cfg, splits[0].manifest.name)
+    device = torch.device(cfg.device or ("cuda" if torch.cuda.is_available() else "cpu"))
     metrics = ImageMetrics(LPIPS.pretrained(cfg.loss.lpips_trunk_path) if cfg.evaluation.lpips else None)
     baselines = fitted_baselines(ShardSplit(cfg.data.root, "train"), cfg.evaluation.baseline_scenes)
-
-    records, panels = [], []
+    beside = []
     with _bar(console) as bar:
         for split in splits:
-            task = bar.add_task(split.split, total=len(split))
-            mine = evaluate_split(network, split, baselines, metrics, device, lambda task=task: bar.advance(task))
+            beside += baseline_records(baselines, split, metrics, device, _task(bar, split, "baselines"))
+    return [_evaluate(cfg, *item, splits, metrics, beside, device, console) for item in outputs.items()]
+
+
+def _outputs(cfg: DictConfig, data: str) -> dict[str, Path]:
+    """Checkpoint → folder for its results. All are loaded, lest a mistake in the last be found hours later."""
+    if OmegaConf.is_missing(cfg, "checkpoint") or not cfg.checkpoint:
+        raise UserError("checkpoint is not given: add checkpoint=<run folder>/checkpoints/best.ckpt")
+    checkpoints = [cfg.checkpoint] if isinstance(cfg.checkpoint, str) else list(cfg.checkpoint)
+    outputs = {c: Path(cfg.output or results_folder(c, load_network(c)[1], data)) for c in checkpoints}
+    if len(set(outputs.values())) < len(checkpoints):
+        raise UserError("checkpoint: two would write to one folder: evaluate each alone, with output=<folder>")
+    return outputs
+
+
+def _evaluate(
+    cfg: DictConfig,
+    checkpoint: str,
+    output: Path,
+    splits: Sequence[ShardSplit],
+    metrics: ImageMetrics,
+    beside: Sequence[ImageRecord],
+    device: torch.device,
+    console: Console,
+) -> Evaluation:
+    """Render, measure, write, print and track one checkpoint, with the baselines' records `beside` its own."""
+    network, info = load_network(checkpoint)
+    network.to(device)
+    manifest = splits[0].manifest
+    console.print(f"{info.method}, seed {info.seed}: {checkpoint}", style="bold", soft_wrap=True)
+    if info.data_manifest != manifest.hash:
+        console.print(f"Note: {checkpoint} was trained on another data set than {cfg.data.root}.", style="yellow")
+
+    images, panels = [], []
+    with _bar(console) as bar:
+        for split in splits:
+            mine = network_records(network, split, metrics, device, _task(bar, split, "model"))
             chosen = ranked_scenes(mine)
             scenes = {caption: render_stored(network, split, index, device) for caption, index in chosen.items()}
             panels.append(save_scene_panel(scenes, output / f"{split.split}.png"))
-            records += mine
+            images += [*mine, *(record for record in beside if record.split == split.split)]
 
-    means = split_means(records)
-    files = [*write_csv(records, output), *panels, write_config(cfg, output)]
-    console.print(results_table(means))
-    console.print(f"Per image, per scene, summary and panels: {output}", soft_wrap=True)
-    console.print(log_to_training_run(info, means, files), soft_wrap=True)
-    return means
+    scenes, bootstrap = scene_records(images), Bootstrap(**cfg.evaluation.bootstrap)
+    means, buckets = split_estimates(scenes, bootstrap), bucketed(scenes, cfg.evaluation.buckets, bootstrap)
+    evaluation = Evaluation.of(info, manifest, device, means)
+    tables = [*write_records(images, scenes, output), write_summary(means, output), write_buckets(buckets, output)]
+    files = [*tables, evaluation.write(output), *panels, write_config(cfg, output)]
+    console.print(results_table(means, buckets))
+    console.print(f"Per image, per scene, summary, buckets and panels: {output}", soft_wrap=True)
+    console.print(log_to_training_run(info, manifest.name, means, files), soft_wrap=True)
+    return evaluation
 
 
 def _bar(console: Console) -> Progress:
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     return Progress(*columns, console=console)
+
+
+def _task(bar: Progress, split: ShardSplit, what: str) -> Callable[[], None]:
+    task = bar.add_task(f"{split.split}, {what}", total=len(split))
+    return lambda: bar.advance(task)
 
 
 if __name__ == "__main__":

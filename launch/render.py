@@ -23,8 +23,7 @@ from rfpp.panels import error_map, panel, save_png, tone_mapped
 from rfpp.reference.cycles import CyclesSettings
 from rfpp.reference.cycles import render as path_trace
 from rfpp.reference.farm import RenderFarm
-from rfpp.scene.camera import camera_to_world
-from rfpp.scene.triangles import SceneTriangles
+from rfpp.scene.packed import PackedScene, pack
 from rfpp.training.run import write_config
 
 
@@ -32,7 +31,7 @@ from rfpp.training.run import write_config
 def main(cfg: DictConfig) -> list[Path]:
     """Render `cfg.scene` with `cfg.checkpoint`; returns the EXR files, one for each camera."""
     console = Console(highlight=False, soft_wrap=True)
-    scene = with_cameras(Scene.load(required(cfg, "scene")), cfg.cameras)
+    scene = with_cameras(pack(Scene.load(required(cfg, "scene"))), cfg.cameras)
     renderer = Renderer.load(required(cfg, "checkpoint"), cfg.device)
     resolution = OmegaConf.to_object(cfg.resolution) if OmegaConf.is_list(cfg.resolution) else cfg.resolution
     height, width = renderer.image_size(tuple(resolution) if isinstance(resolution, list) else resolution)
@@ -59,13 +58,13 @@ def main(cfg: DictConfig) -> list[Path]:
     return targets
 
 
-def with_cameras(scene: Scene, wanted: list[int] | None) -> Scene:
+def with_cameras(scene: PackedScene, wanted: list[int] | None) -> PackedScene:
     """The scene with only the wanted cameras. Raises UserError when one does not exist."""
     if wanted is None:
         return scene
-    if not wanted or min(wanted) < 0 or max(wanted) >= len(scene.cameras):
-        raise UserError(f"cameras={list(wanted)}: the scene has cameras 0…{len(scene.cameras) - 1}: choose among them")
-    return scene.model_copy(update={"cameras": tuple(scene.cameras[i] for i in wanted)})
+    if not wanted or min(wanted) < 0 or max(wanted) >= len(scene.fov):
+        raise UserError(f"cameras={list(wanted)}: the scene has cameras 0…{len(scene.fov) - 1}: choose among them")
+    return scene.views(wanted)
 
 
 def output_files(output: Path, stem: str, views: int) -> list[Path]:
@@ -83,14 +82,14 @@ def write_pictures(radiance: np.ndarray, target: Path) -> None:
     save_png(tone_mapped(radiance), target.with_suffix(".png"))
 
 
-def reference_images(scene: Scene, height: int, width: int, settings: CyclesSettings, console: Console) -> np.ndarray:
+def reference_images(
+    scene: PackedScene, height: int, width: int, settings: CyclesSettings, console: Console
+) -> np.ndarray:
     """The same views path-traced by Blender Cycles, in a worker process of its own."""
-    c2w = np.stack([camera_to_world(camera) for camera in scene.cameras])
-    fov = np.array([camera.fov for camera in scene.cameras], dtype=np.float32)
-    job = partial(path_trace, c2w=c2w, fov=fov, height=height, width=width, settings=settings)
+    job = partial(path_trace, c2w=scene.c2w, fov=scene.fov, height=height, width=width, settings=settings)
     begin = time.perf_counter()
-    with console.status(f"Path tracing {len(fov)} views at {settings.samples} samples …"), RenderFarm(1) as farm:
-        [(_, images)] = farm.map(job, [SceneTriangles.from_scene(scene)])
+    with console.status(f"Path tracing {len(scene.fov)} views at {settings.samples} samples …"), RenderFarm(1) as farm:
+        [(_, images)] = farm.map(job, [scene.triangles])
     if isinstance(images, Exception):
         raise images
     console.print(f"{scene.name}: reference of {settings.samples} samples in {time.perf_counter() - begin:.1f} s")

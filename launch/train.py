@@ -16,7 +16,7 @@ from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
 
 from rfpp.entry import entry_point
-from rfpp.inference.checkpoint import CheckpointInfo
+from rfpp.inference.checkpoint import CheckpointInfo, load_initial_weights
 from rfpp.metrics.image import ImageMetrics
 from rfpp.training.module import RenderingModule
 from rfpp.training.run import point_latest_at, start_summary, write_config
@@ -34,6 +34,8 @@ def main(cfg: DictConfig) -> Path | None:
     config = OmegaConf.to_container(cfg, resolve=True)
     run_dir = Path(cfg.run_dir)
     network = instantiate(cfg.model, _convert_="all")
+    if cfg.initial_weights:
+        load_initial_weights(network, cfg.initial_weights)
     datamodule = instantiate(cfg.datamodule, gbuffer_channels=network.gbuffer_channels, _convert_="all")
     loss = instantiate(cfg.loss)
     tracked = not cfg.trainer.fast_dev_run

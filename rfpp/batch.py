@@ -67,6 +67,7 @@ class SceneViews:
         fov: [V] degrees, along the longer image side.
         gbuffer: [V, C, H, W] first-hit channels in camera space.
         image: [V, 3, H, W] linear radiance, where a reference exists.
+        texture: [M, 13, P, P] where materials vary over triangles, see `rfpp.scene.texture`.
     """
 
     key: str
@@ -75,6 +76,7 @@ class SceneViews:
     fov: np.ndarray
     gbuffer: np.ndarray
     image: np.ndarray | None = None
+    texture: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
@@ -90,6 +92,7 @@ class RaggedBatch:
         gbuffer: [B, V, C, H, W].
         image: [B, V, 3, H, W] linear radiance, or None when rendering.
         keys: B sample names.
+        texture: [M, 13, P, P] emission linear, or None where every triangle has one material.
     """
 
     positions: Float[Tensor, "m 3 3"]
@@ -102,10 +105,14 @@ class RaggedBatch:
     gbuffer: Float[Tensor, "b v c h w"]
     image: Float[Tensor, "b v 3 h w"] | None
     keys: tuple[str, ...]
+    texture: Float[Tensor, "m 13 p p"] | None = None
 
     @classmethod
     def pack(cls, samples: Sequence[SceneViews]) -> RaggedBatch:
-        """Pack scenes of any sizes; all must have the same number of views and the same resolution."""
+        """Pack scenes of any sizes; all must have the same number of views and the same resolution.
+
+        Raises ValueError when only some of them are textured.
+        """
         triangles = [s.triangles for s in samples]
 
         def packed(arrays: list[np.ndarray]) -> Tensor:
@@ -114,6 +121,9 @@ class RaggedBatch:
         def stacked(arrays: list[np.ndarray]) -> Tensor:
             return torch.from_numpy(np.stack(arrays).astype(np.float32, copy=False))
 
+        textures = [s.texture for s in samples if s.texture is not None]
+        if textures and len(textures) < len(samples):
+            raise ValueError("textured scenes and others cannot share a batch")
         with_images = all(s.image is not None for s in samples)
         return cls(
             positions=packed([t.positions for t in triangles]),
@@ -126,6 +136,7 @@ class RaggedBatch:
             gbuffer=stacked([s.gbuffer for s in samples]),
             image=stacked([s.image for s in samples]) if with_images else None,
             keys=tuple(s.key for s in samples),
+            texture=packed(textures) if textures else None,
         )
 
     @property
@@ -153,7 +164,10 @@ class RaggedBatch:
         """Every scene's emitted radiance divided by its factor; images stay as they are."""
         per_triangle = factor[self.scenes.index][self.objects.index]
         material = torch.cat([self.material[:, :7], self.material[:, 7:10] / per_triangle[:, None]], dim=-1)
-        return replace(self, material=material)
+        texture = self.texture
+        if texture is not None:
+            texture = torch.cat([texture[:, :10], texture[:, 10:] / per_triangle[:, None, None, None]], dim=1)
+        return replace(self, material=material, texture=texture)
 
     def to(self, device: torch.device | str, **kwargs) -> RaggedBatch:
         moved = {}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,15 +12,14 @@ from torch import Tensor, nn
 
 from rfpp.batch import RaggedBatch
 from rfpp.errors import ShardError, UserError
-from rfpp.evaluation.tables import ImageRecord, scene_means
+from rfpp.evaluation.records import MODEL, ImageRecord, scene_records
 from rfpp.metrics.baselines import CHANNELS, AlbedoTimesConstant, Baseline, Black, DirectLightAlone, MeanImage
 from rfpp.metrics.image import METRICS, ImageMetrics
 from rfpp.radiance import log_decode
 from rfpp.shards.stream import ShardSplit
 from rfpp.training.views import select_views
 
-#: The name of the network in records.
-MODEL = "model"
+OnScene = Callable[[], None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,11 +28,14 @@ class RenderedScene:
 
     Attributes:
         key: of the stored scene.
+        triangles, objects: how many it holds; every light is an object too.
         reference, prediction: [V, 3, H, W] linear radiance.
-        gbuffer: what baselines predict from, [V, 3, H, W] each.
+        gbuffer: the channels that baselines predict from, [V, 3, H, W] each.
     """
 
     key: str
+    triangles: int
+    objects: int
     reference: Float[Tensor, "v 3 h w"]
     prediction: Float[Tensor, "v 3 h w"]
     gbuffer: dict[str, Float[Tensor, "v 3 h w"]]
@@ -59,21 +61,18 @@ def render_stored(network: nn.Module, split: ShardSplit, index: int, device: tor
     rendering = network(replace(batch, gbuffer=for_network))
     return RenderedScene(
         key=sample.key,
+        triangles=len(sample.triangles),
+        objects=sample.triangles.num_objects,
         reference=batch.image[0],
         prediction=log_decode(rendering.log_radiance[0].float()),
         gbuffer=_by_name(for_baselines[0]),
     )
 
 
-def evaluate_split(
-    network: nn.Module,
-    split: ShardSplit,
-    baselines: Sequence[Baseline],
-    metrics: ImageMetrics,
-    device: torch.device,
-    on_scene: Callable[[], None] = lambda: None,
+def network_records(
+    network: nn.Module, split: ShardSplit, metrics: ImageMetrics, device: torch.device, on_scene: OnScene
 ) -> list[ImageRecord]:
-    """Records of every image of the split, for the network and for each baseline.
+    """What the network scores on every image of the split.
 
     Args:
         on_scene: called after each scene, for a progress bar.
@@ -82,17 +81,31 @@ def evaluate_split(
         ShardError: the split is empty, or a sample is damaged.
         UserError: see `render_stored`.
     """
-    if len(split) == 0:
-        raise ShardError(f"{split.manifest.root}: split '{split.split}' is empty: choose another in evaluation.splits")
     records = []
-    for index in range(len(split)):
+    for index in _scenes(split):
         scene = render_stored(network, split, index, device)
-        predictions = {MODEL: scene.prediction} | {b.name: b.predict(scene.gbuffer) for b in baselines}
-        for predictor, prediction in predictions.items():
-            values = {name: column.tolist() for name, column in metrics(prediction, scene.reference).items()}
-            for view in range(len(prediction)):
-                at_view = {name: column[view] for name, column in values.items()}
-                records.append(ImageRecord(split.split, scene.key, view, predictor, at_view))
+        at = (split.split, scene.key, scene.triangles, scene.objects)
+        records += _image_records(at, MODEL, metrics(scene.prediction, scene.reference))
+        on_scene()
+    return records
+
+
+def baseline_records(
+    baselines: Sequence[Baseline], split: ShardSplit, metrics: ImageMetrics, device: torch.device, on_scene: OnScene
+) -> list[ImageRecord]:
+    """What each baseline scores on every image of the split, whichever network stands beside it.
+
+    Arguments and errors are those of `network_records`.
+    """
+    records = []
+    for index in _scenes(split):
+        sample = split[index]
+        views = select_views(sample, range(len(sample.fov)), CHANNELS)
+        gbuffer = _by_name(torch.from_numpy(views.gbuffer).to(device))
+        reference = torch.from_numpy(views.image).to(device)
+        at = (split.split, sample.key, len(sample.triangles), sample.triangles.num_objects)
+        for baseline in baselines:
+            records += _image_records(at, baseline.name, metrics(baseline.predict(gbuffer), reference))
         on_scene()
     return records
 
@@ -107,15 +120,32 @@ def ranked_scenes(records: Sequence[ImageRecord], metric: str = "log_l1") -> dic
     """The model's best, median and worst scene of one split: caption, with its mean error → index in the split.
 
     Args:
-        records: of one whole split, in its order.
+        records: the model's on one whole split, in its order.
         metric: one where lower is better.
     """
-    means = scene_means(record for record in records if record.predictor == MODEL)
-    errors = [(values[metric], index, key) for index, ((_, _, key), values) in enumerate(means.items())]
+    errors = [(scene.values[metric], index, scene.scene) for index, scene in enumerate(scene_records(records))]
     ranked = sorted(errors)
     chosen = {"best": ranked[0], "median": ranked[len(ranked) // 2], "worst": ranked[-1]}
     label = METRICS[metric].label
     return {f"{place}: {key}, {label} {error:.4f}": index for place, (error, index, key) in chosen.items()}
+
+
+def _scenes(split: ShardSplit) -> range:
+    if len(split) == 0:
+        raise ShardError(f"{split.manifest.root}: split '{split.split}' is empty: choose another in evaluation.splits")
+    return range(len(split))
+
+
+def _image_records(
+    at: tuple[str, str, int, int], predictor: str, values: Mapping[str, Float[Tensor, " v"]]
+) -> list[ImageRecord]:
+    """Of all views of one scene. Args: at: split, scene, triangles, objects."""
+    split, scene, triangles, objects = at
+    by_view = zip(*(column.tolist() for column in values.values()), strict=True)
+    return [
+        ImageRecord(split, scene, view, triangles, objects, predictor, dict(zip(values, numbers, strict=True)))
+        for view, numbers in enumerate(by_view)
+    ]
 
 
 def _training_views(split: ShardSplit, scenes: int) -> Iterator[tuple[dict[str, Tensor], Tensor]]:

@@ -7,24 +7,40 @@ from pathlib import Path
 
 from mlflow.exceptions import MlflowException
 
-from rfpp.evaluation.evaluate import MODEL
+from rfpp.evaluation.confidence import Estimates
+from rfpp.evaluation.records import MODEL
 from rfpp.inference.checkpoint import CheckpointInfo
 from rfpp.training.tracking import log_results
 
+#: Where training puts its runs unless told otherwise.
+RUNS = Path("data/runs")
 
-def tracked_metrics(means: Mapping[tuple[str, str], Mapping[str, float]]) -> dict[str, float]:
+
+def tracked_metrics(means: Mapping[tuple[str, str], Estimates], prefix: str = "") -> dict[str, float]:
     """MLflow names: `test/log_l1` for the network, `test_baselines/mean_image/log_l1` for the others."""
     return {
-        f"{_group(split, predictor)}/{name}": value
+        f"{prefix}{_group(split, predictor)}/{name}": estimate.mean
         for (split, predictor), values in means.items()
-        for name, value in values.items()
+        for name, estimate in values.items()
     }
 
 
+def results_folder(checkpoint: str, info: CheckpointInfo, data: str) -> Path:
+    """`evaluation` in the checkpoint's run folder, or `evaluation_<data>` for a data set it was not trained on.
+
+    A released network (a folder, or a name on a hub) is of no run here and gets a folder of its own among them.
+    """
+    path = Path(checkpoint)
+    run = path.absolute().parents[1] if path.is_file() else RUNS / path.name
+    return run / _artifact_folder(info, data)
+
+
 def log_to_training_run(
-    info: CheckpointInfo, means: Mapping[tuple[str, str], Mapping[str, float]], files: Sequence[Path]
+    info: CheckpointInfo, data: str, means: Mapping[tuple[str, str], Estimates], files: Sequence[Path]
 ) -> str:
-    """Add means and files (under `evaluation/`) to the run that made the checkpoint; returns a line about it.
+    """Add means and files to the run that made the checkpoint; returns a line about it.
+
+    On a data set that it was not trained on, metrics begin with `<data>/`, and files are in `evaluation_<data>/`.
 
     A run that cannot be reached (a checkpoint copied to another machine) is said, not raised: the results are in
     the files already.
@@ -32,9 +48,10 @@ def log_to_training_run(
     if info.mlflow_run_id is None or info.mlflow_tracking_uri is None:
         return "The checkpoint names no MLflow run: nothing logged there."
     run = f"MLflow run {info.mlflow_run_id} in {info.mlflow_tracking_uri}"
-    where = dict.fromkeys(files, "evaluation")
+    where = dict.fromkeys(files, _artifact_folder(info, data))
+    metrics = tracked_metrics(means, prefix="" if data == info.dataset else f"{data}/")
     try:
-        log_results(info.mlflow_tracking_uri, info.mlflow_run_id, tracked_metrics(means), where)
+        log_results(info.mlflow_tracking_uri, info.mlflow_run_id, metrics, where)
     except (MlflowException, OSError) as error:
         return f"Not logged to {run}: {str(error).splitlines()[0][:200]}"
     return f"Logged to {run}"
@@ -42,3 +59,7 @@ def log_to_training_run(
 
 def _group(split: str, predictor: str) -> str:
     return split if predictor == MODEL else f"{split}_baselines/{predictor.replace(' ', '_')}"
+
+
+def _artifact_folder(info: CheckpointInfo, data: str) -> str:
+    return "evaluation" if data == info.dataset else f"evaluation_{data}"

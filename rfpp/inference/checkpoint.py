@@ -12,6 +12,8 @@ import torch
 from torch import nn
 
 from rfpp.errors import CheckpointError
+from rfpp.inference.released_weights import is_released, read_released, with_folded_texture
+from rfpp.model.triangle_embedding import TriangleEmbedding
 
 #: Where a Lightning checkpoint keeps a `CheckpointInfo`.
 CHECKPOINT_KEY = "rfpp"
@@ -20,6 +22,15 @@ SCHEMA_VERSION = 2
 ALLOWED_PREFIX = "rfpp.model."
 #: The network's place in a Lightning state dict.
 NETWORK_PREFIX = "network."
+#: What is known of the released RenderFormer: trained at 256² for 500K steps, on data of its own.
+RELEASED = {
+    "resolution": (256, 256),
+    "data_manifest": "unknown",
+    "dataset": "renderformer (official)",
+    "method": "RenderFormer",
+    "seed": 0,
+    "steps": 500_000,
+}
 
 
 @dataclass(frozen=True)
@@ -58,10 +69,43 @@ class CheckpointInfo:
 def load_network(path: Path | str) -> tuple[nn.Module, CheckpointInfo]:
     """The network in evaluation mode on the CPU, and what its checkpoint says about itself.
 
+    Args:
+        path: a file written by launch/train.py; or a released RenderFormer: a folder with config.json and
+            model.safetensors, or its id on the Hugging Face hub.
+
     Raises:
-        CheckpointError: the file is missing, unreadable, not ours, or its weights are not of the network it names.
+        CheckpointError: it is missing, unreadable, of an unknown kind, or its weights are not of the network it names.
     """
-    path = Path(path)
+    if is_released(path):
+        model, weights = read_released(path)
+        network = build(model, str(path))
+        _load_weights(network, weights, path)
+        return network.eval(), CheckpointInfo(model, **RELEASED)
+    info, weights = _read(Path(path))
+    network = build(info.model, str(path))
+    _load_weights(network, weights, path)
+    return network.eval(), info
+
+
+def load_initial_weights(network: nn.Module, path: Path | str) -> None:
+    """Give a network the weights of a checkpoint, ours or a released RenderFormer, to train it further.
+
+    A released texture encoder is folded for a network that knows one material per triangle.
+
+    Raises:
+        CheckpointError: the checkpoint cannot be read, or is of another model.
+    """
+    if is_released(path):
+        _, weights = read_released(path)
+        if isinstance(network.embedding, TriangleEmbedding):
+            weights = with_folded_texture(weights)
+    else:
+        _, weights = _read(Path(path))
+    _load_weights(network, weights, path)
+
+
+def _read(path: Path) -> tuple[CheckpointInfo, dict[str, torch.Tensor]]:
+    """What a checkpoint file of ours says about itself, and its network's weights."""
     if not path.is_file():
         raise CheckpointError(f"{path}: no such checkpoint: train one with launch/train.py, or correct the path")
     try:
@@ -80,9 +124,8 @@ def load_network(path: Path | str) -> tuple[nn.Module, CheckpointInfo]:
             f"{path}: checkpoint schema {info.schema_version}, this code reads {SCHEMA_VERSION}: "
             "use the version of rfpp that made it"
         )
-    network = build(info.model, str(path))
-    _load_weights(network, content.get("state_dict", {}), path)
-    return network.eval(), info
+    state = content.get("state_dict", {})
+    return info, {k.removeprefix(NETWORK_PREFIX): v for k, v in state.items() if k.startswith(NETWORK_PREFIX)}
 
 
 def build(config: Any, where: str) -> Any:
@@ -107,8 +150,7 @@ def build(config: Any, where: str) -> Any:
         raise CheckpointError(f"{where}: cannot build {target} ({error}): use the version that made it") from None
 
 
-def _load_weights(network: nn.Module, state: dict[str, torch.Tensor], path: Path) -> None:
-    weights = {k.removeprefix(NETWORK_PREFIX): v for k, v in state.items() if k.startswith(NETWORK_PREFIX)}
+def _load_weights(network: nn.Module, weights: dict[str, torch.Tensor], path: Path | str) -> None:
     expected = network.state_dict()
     missing, extra = sorted(expected.keys() - weights.keys()), sorted(weights.keys() - expected.keys())
     wrong = [k for k in expected.keys() & weights.keys() if expected[k].shape != weights[k].shape]

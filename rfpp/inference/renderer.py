@@ -13,13 +13,12 @@ from torch import nn
 from rfpp.batch import RaggedBatch, SceneViews
 from rfpp.errors import SceneError, UserError
 from rfpp.gbuffer.direct_light import with_direct_light
-from rfpp.gbuffer.first_hit import LIGHT_CHANNELS, GBuffer, camera_caster, first_hit, stack_channels
+from rfpp.gbuffer.first_hit import LIGHT_CHANNELS, camera_caster, first_hit, stack_channels
 from rfpp.gbuffer.light_sampler import LightSampler
 from rfpp.inference.checkpoint import CheckpointInfo, load_network
 from rfpp.radiance import log_decode
-from rfpp.scene.camera import camera_to_world
+from rfpp.scene.packed import PackedScene, pack
 from rfpp.scene.spec import Camera, Scene
-from rfpp.scene.triangles import SceneTriangles
 
 
 class Renderer:
@@ -39,13 +38,21 @@ class Renderer:
 
     @classmethod
     def load(cls, checkpoint: Path | str, device: torch.device | str | None = None) -> Renderer:
-        """Load a checkpoint of launch/train.py, onto a GPU if there is one. Raises CheckpointError."""
+        """Load a checkpoint, onto a GPU if there is one.
+
+        Args:
+            checkpoint: see `rfpp.inference.checkpoint.load_network`.
+
+        Raises:
+            CheckpointError: it cannot be read, or is not of a network we know.
+        """
         network, info = load_network(checkpoint)
         return cls(network, info, device or ("cuda" if torch.cuda.is_available() else "cpu"))
 
+    @torch.inference_mode()
     def render(
         self,
-        scene: Scene,
+        scene: Scene | PackedScene,
         resolution: int | tuple[int, int] | None = None,
         cameras: Sequence[Camera] | None = None,
         light_samples: int = 16,
@@ -63,41 +70,36 @@ class Renderer:
             UserError: the resolution does not divide into the network's patches.
         """
         height, width = self.image_size(resolution)
-        cameras = scene.cameras if cameras is None else cameras
-        if not cameras:
-            raise SceneError(f"scene '{scene.name}' has no camera: add one to its `cameras`")
-        triangles = SceneTriangles.from_scene(scene)
-        c2w = np.stack([camera_to_world(camera) for camera in cameras])
-        fov = np.array([camera.fov for camera in cameras], dtype=np.float32)
-        gbuffers = cast_views(triangles, c2w, fov, height, width)
-        if set(self.network.gbuffer_channels) & set(LIGHT_CHANNELS):
-            sampler = LightSampler(triangles)
-            views = zip(gbuffers, c2w, fov, strict=True)
-            gbuffers = [with_direct_light(g, m, f, sampler, light_samples) for g, m, f in views]
-        return self.render_triangles(scene.name, triangles, c2w, fov, gbuffers)
-
-    @torch.inference_mode()
-    def render_triangles(
-        self,
-        key: str,
-        triangles: SceneTriangles,
-        c2w: Float[np.ndarray, "v 4 4"],
-        fov: Float[np.ndarray, " v"],
-        gbuffers: Sequence[GBuffer],
-    ) -> Float[np.ndarray, "v h w 3"]:
-        """The same from packed triangles and G-buffers that are already there. `key` names the scene."""
-        channels = self.network.gbuffer_channels
-        stacked = [
-            stack_channels(g, triangles.material, float(f), channels) for g, f in zip(gbuffers, fov, strict=True)
-        ]
-        batch = RaggedBatch.pack([SceneViews(key, triangles, c2w, fov, np.stack(stacked))]).to(self.device)
-        scene = self.network.encode(batch)
+        packed = pack(scene) if cameras is None else pack(scene).seen_by(cameras)
+        if not len(packed.fov):
+            raise SceneError(f"scene '{packed.name}' has no camera: add one to its `cameras`")
+        gbuffers = self._gbuffers(packed, height, width, light_samples)
+        views = SceneViews(packed.name, packed.triangles, packed.c2w, packed.fov, gbuffers, texture=packed.texture)
+        batch = RaggedBatch.pack([views]).to(self.device)
+        encoded = self.network.encode(batch)
         # one view at a time: the memory of a large image, not of all of them
         images = [
-            self.network.view(scene, batch.c2w[:, v : v + 1], batch.fov[:, v : v + 1], batch.gbuffer[:, v : v + 1])
+            self.network.view(encoded, batch.c2w[:, v : v + 1], batch.fov[:, v : v + 1], batch.gbuffer[:, v : v + 1])
             for v in range(batch.num_views)
         ]
         return log_decode(torch.cat(images, dim=1))[0].permute(0, 2, 3, 1).clamp_min(0).cpu().numpy()
+
+    def _gbuffers(
+        self, scene: PackedScene, height: int, width: int, light_samples: int
+    ) -> Float[np.ndarray, "v c h w"]:
+        """The channels the network asks for; no ray is cast for a network that asks for none."""
+        channels = self.network.gbuffer_channels
+        if not channels:
+            return np.zeros((len(scene.fov), 0, height, width), np.float32)
+        triangles, caster = scene.triangles, camera_caster(scene.triangles)
+        sampler = LightSampler(triangles) if set(channels) & set(LIGHT_CHANNELS) else None
+        stacked = []
+        for c2w, fov in zip(scene.c2w, scene.fov, strict=True):
+            gbuffer = first_hit(triangles, c2w, fov, height, width, caster)
+            if sampler:
+                gbuffer = with_direct_light(gbuffer, c2w, fov, sampler, light_samples)
+            stacked.append(stack_channels(gbuffer, triangles.material, fov, channels))
+        return np.stack(stacked)
 
     def image_size(self, resolution: int | tuple[int, int] | None) -> tuple[int, int]:
         """(height, width) of a requested resolution. Raises UserError when it does not divide into patches."""
@@ -108,11 +110,3 @@ class Renderer:
         if min(height, width) < 1 or height % patch or width % patch:
             raise UserError(f"resolution {width} x {height} does not divide into patches of {patch}: use multiples")
         return height, width
-
-
-def cast_views(
-    triangles: SceneTriangles, c2w: Float[np.ndarray, "v 4 4"], fov: Float[np.ndarray, " v"], height: int, width: int
-) -> list[GBuffer]:
-    """The G-buffer of every camera of one scene, sharing one acceleration structure."""
-    caster = camera_caster(triangles)
-    return [first_hit(triangles, m, float(f), height, width, caster) for m, f in zip(c2w, fov, strict=True)]

@@ -42,12 +42,17 @@ class Metric:
     definition: str
     decimals: int
 
+    @property
+    def heading(self) -> str:
+        """Of a column: the label and an arrow towards better values."""
+        return f"{self.label} {'↑' if self.higher_is_better else '↓'}"
+
 
 METRICS = MappingProxyType(
     {
         "log_l1": Metric("log-L1", False, "mean |log10(1 + x) - log10(1 + y)|", 4),
         "l1": Metric("L1", False, "mean |x - y|, linear HDR", 4),
-        "mape": Metric("MAPE", False, f"mean |x - y| / (|y| + {MAPE_EPS}), linear HDR", 3),
+        "mape": Metric("MAPE", False, f"mean |x - y| / (|y| + {MAPE_EPS}), linear HDR", 4),
         "lpips": Metric("LPIPS", False, f"VGG16 v0.1 on {TONE_MAP} scaled to [-1, 1]", 4),
         "ssim": Metric("SSIM", True, f"11x11 Gaussian, sigma 1.5, range 1, mirrored border, on {TONE_MAP}", 4),
         "psnr": Metric("PSNR", True, f"dB, peak 1, on {TONE_MAP}", 2),

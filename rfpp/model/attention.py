@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 import torch
 import torch.nn.functional as F
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from rfpp.batch import Segments
@@ -30,13 +30,28 @@ class AttentionPattern:
     """Which packed query rows see which packed key rows: query segment i sees key segment i.
 
     Build it once per batch and share it between layers: the index tables below are computed on first use.
+
+    Args:
+        queries, keys: segments of the rows; without `keys`, self-attention.
+        order: for self-attention, the row that comes first, second, … when the segments are laid out end to end;
+            None where that is the order of the rows.
+
+    Raises:
+        ValueError: the segments do not pair up, or an order is given for cross-attention.
     """
 
-    def __init__(self, queries: Segments, keys: Segments | None = None):
+    def __init__(self, queries: Segments, keys: Segments | None = None, order: Int[Tensor, " n"] | None = None):
+        if order is not None and keys is not None:
+            raise ValueError("an order of the rows is for self-attention")
         keys = queries if keys is None else keys
         if len(queries) != len(keys):
             raise ValueError(f"{len(queries)} query segments for {len(keys)} key segments")
-        self.queries, self.keys = queries, keys
+        self.queries, self.keys, self.order = queries, keys, order
+
+    @cached_property
+    def inverse_order(self) -> Int[Tensor, " n"]:
+        """Where each row stands in `order`."""
+        return self.order.argsort()
 
     @cached_property
     def buckets(self) -> list[Bucket]:
@@ -161,9 +176,12 @@ def attend(
     q: Float[Tensor, "nq h d"], k: Float[Tensor, "nk h d"], v: Float[Tensor, "nk h d"], pattern: AttentionPattern
 ) -> Float[Tensor, "nq h d"]:
     """softmax(q kᵀ / √d) v within each segment, by the fastest backend for the device and precision."""
-    if q.is_cuda and q.dtype in (torch.float16, torch.bfloat16):
-        return attend_varlen(q, k, v, pattern)
-    return attend_bucketed(q, k, v, pattern)
+    backend = attend_varlen if q.is_cuda and q.dtype in (torch.float16, torch.bfloat16) else attend_bucketed
+    if pattern.order is None:
+        return backend(q, k, v, pattern)
+    there, back = pattern.order, pattern.inverse_order
+    out = backend(*(_Regather.apply(x, there, back) for x in (q, k, v)), pattern)
+    return _Regather.apply(out, back, there)
 
 
 def attend_bucketed(q: Tensor, k: Tensor, v: Tensor, pattern: AttentionPattern) -> Tensor:

@@ -10,8 +10,8 @@ from torch import Tensor, nn
 from rfpp.batch import RaggedBatch
 from rfpp.model.exposure import ArrivingLight, UnitExposure
 from rfpp.model.tokenizer import ObjectTokens, SceneTokens, TriangleTokens
-from rfpp.model.transport import PhysicsInformedTransport, UnconstrainedTransport
-from rfpp.model.triangle_embedding import TriangleEmbedding
+from rfpp.model.transport import EncodedTransport, PhysicsInformedTransport, UnconstrainedTransport
+from rfpp.model.triangle_embedding import TexturePatchEmbedding, TriangleEmbedding
 from rfpp.model.view_decoder import ViewDecoder
 from rfpp.radiance import log_encode
 
@@ -52,9 +52,9 @@ class RenderFormerPP(nn.Module):
 
     def __init__(
         self,
-        embedding: TriangleEmbedding,
+        embedding: TriangleEmbedding | TexturePatchEmbedding,
         tokenizer: ObjectTokens | TriangleTokens,
-        transport: PhysicsInformedTransport | UnconstrainedTransport,
+        transport: PhysicsInformedTransport | UnconstrainedTransport | EncodedTransport,
         decoder: ViewDecoder,
         exposure: UnitExposure | ArrivingLight,
     ):

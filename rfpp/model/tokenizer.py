@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from itertools import pairwise
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
@@ -33,12 +34,35 @@ class SceneTokens:
 
 
 class TriangleTokens(nn.Module):
-    """One token per triangle, as in RenderFormer."""
+    """One token per triangle, after each scene's registers: learned tokens that stand for nothing (RenderFormer).
+
+    Args:
+        width: token width.
+        registers: per scene, placed at the mean of its vertices (RenderFormer has 16).
+    """
+
+    def __init__(self, width: int, registers: int):
+        super().__init__()
+        self.registers = nn.Parameter(0.02 * torch.randn(registers, width))
 
     def forward(self, triangles: Float[Tensor, "m width"], batch: RaggedBatch) -> SceneTokens:
-        ends = batch.objects.offsets[batch.scenes.offsets.long()].tolist()
-        segments = Segments.from_lengths([b - a for a, b in pairwise(ends)], batch.positions.device)
-        return SceneTokens(triangles, batch.positions.flatten(1), batch.log_emission, segments)
+        device, scenes, registers = triangles.device, len(batch.scenes), len(self.registers)
+        counts = [sum(batch.objects.lengths[a:b]) for a, b in pairwise(np.cumsum([0, *batch.scenes.lengths]))]
+        per_scene = Segments.from_lengths(counts, device)
+        centre = batch.positions.new_zeros(scenes, 3).index_add(0, per_scene.index, batch.positions.mean(1))
+        centre = centre / torch.tensor(counts, device=device)[:, None]
+
+        # all registers, then all triangles, are sorted into registers and triangles of the first scene, of the second …
+        owner = torch.cat([torch.arange(scenes, device=device).repeat_interleave(registers), per_scene.index])
+        order = owner.argsort(stable=True)
+        points = torch.cat([centre.repeat(1, 3).repeat_interleave(registers, 0), batch.positions.flatten(1)])
+        nothing = batch.log_emission.new_zeros(scenes * registers, 3)
+        return SceneTokens(
+            features=torch.cat([self.registers.to(triangles.dtype).repeat(scenes, 1), triangles])[order],
+            points=points[order],
+            log_emission=torch.cat([nothing, batch.log_emission])[order],
+            segments=Segments.from_lengths([registers + n for n in counts], device),
+        )
 
 
 class ObjectTokens(nn.Module):

@@ -44,6 +44,20 @@ class UnconstrainedTransport(nn.Module):
         return Transported(replace(tokens, features=features))
 
 
+class EncodedTransport(nn.Module):
+    """Self-attention between all tokens first, then the operator: PITG where no tokenizer has encoded them before.
+
+    RenderFormer w/ PITG (paper, Table 2).
+    """
+
+    def __init__(self, encoder: UnconstrainedTransport, transport: PhysicsInformedTransport):
+        super().__init__()
+        self.encoder, self.transport = encoder, transport
+
+    def forward(self, tokens: SceneTokens) -> Transported:
+        return self.transport(self.encoder(tokens).tokens)
+
+
 class EmissionEncoder(nn.Module):
     """EEncode (paper, Sec. 3.1): one MLP gives F_e from tokens and emission, F_s from tokens and zeros.
 

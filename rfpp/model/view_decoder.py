@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import cycle
 
 import numpy as np
 import torch
@@ -19,6 +20,7 @@ from rfpp.model.dpt import LEVELS, DPTHead
 from rfpp.model.encoding import RelativeSpatialEncoding, Rotation, rotate
 from rfpp.model.film import CentreSample, PixelFilter
 from rfpp.model.ray_bundle import CameraOrigin, FirstHitPosition, RayBundleEmbedding
+from rfpp.model.ray_windows import ShiftedWindows, WholeView
 from rfpp.model.shading import LightBeyondDirect, LogRadiance, ReflectedLight
 from rfpp.model.tokenizer import SceneTokens
 from rfpp.radiance import log_encode
@@ -37,6 +39,7 @@ class ViewDecoder(nn.Module):
         ray_position: where ray tokens stand: CameraOrigin (the paper's) or FirstHitPosition.
         shading: what the head predicts: LogRadiance (the paper's), ReflectedLight or LightBeyondDirect.
         film: what a pixel is made of: CentreSample (the paper's) or PixelFilter.
+        windows: which rays of a view see each other: WholeView (the paper's) or ShiftedWindows.
     """
 
     def __init__(
@@ -53,12 +56,13 @@ class ViewDecoder(nn.Module):
         ray_position: CameraOrigin | FirstHitPosition,
         shading: LogRadiance | ReflectedLight | LightBeyondDirect,
         film: CentreSample | PixelFilter,
+        windows: WholeView | ShiftedWindows,
     ):
         super().__init__()
         if layers < LEVELS:
             raise ValueError(f"the image head reads the last {LEVELS} decoder layers, but there are {layers}")
         self.rays = RayBundleEmbedding(width, patch_size, gbuffer_channels)
-        self.ray_position, self.shading, self.film = ray_position, shading, film
+        self.ray_position, self.shading, self.film, self.windows = ray_position, shading, film, windows
         self.position = RelativeSpatialEncoding(width // heads, frequencies)
         self.blocks = nn.ModuleList(DecoderBlock(width, heads, hidden) for _ in range(layers))
         self.head = DPTHead(width, head_level_channels, head_channels, patch_size, shading.maps)
@@ -81,20 +85,21 @@ class ViewDecoder(nn.Module):
         channels = self._split_channels(gbuffer.flatten(0, 1), exposure.repeat_interleave(views))
         rays = self.rays(fov.flatten(), channels(self.rays.gbuffer_channels))  # [B V, patches, D]
         patches = rays.shape[1]
+        grid = (height // self.rays.patch_size, width // self.rays.patch_size)
         in_view = Segments.from_lengths([patches] * (batch * views), rays.device)
         seen = SeenTokens.by(scene, c2w)
 
         ray_points = self.ray_position(channels(self.ray_position.channels), self.rays.patch_size)
         ray_rotation = None if ray_points is None else self.position(ray_points)
         seen_rotation = self.position(seen.points)
-        to_scene, among_rays = AttentionPattern(in_view, seen.segments), AttentionPattern(in_view)
+        to_scene = AttentionPattern(in_view, seen.segments)
+        among_rays = cycle(self.windows(batch * views, *grid, rays.device))
 
         x, features = rays.flatten(0, 1), []
         for block in self.blocks:
-            x = block(x, scene.features, seen.rows, to_scene, among_rays, ray_rotation, seen_rotation)
+            x = block(x, scene.features, seen.rows, to_scene, next(among_rays), ray_rotation, seen_rotation)
             features.append(x)
 
-        grid = (height // self.rays.patch_size, width // self.rays.patch_size)
         maps = [f.view(batch * views, *grid, -1).permute(0, 3, 1, 2) for f in features[-LEVELS:]]
         radiance = self.film(self.shading(self.head(maps, height, width), channels(self.shading.channels)))
         return radiance.view(batch, views, 3, height, width)

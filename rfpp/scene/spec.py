@@ -10,13 +10,16 @@ import math
 import reprlib
 import warnings
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, no_type_check
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from rfpp.errors import SceneError
 from rfpp.scene.mesh import Mesh
+
+if TYPE_CHECKING:
+    from rfpp.scene.packed import PackedScene
 
 Vector = tuple[float, float, float]
 Reflectance = tuple[
@@ -154,11 +157,17 @@ class Scene(Strict):
         return self
 
     @classmethod
-    def load(cls, path: str | Path) -> Scene:
-        """Read a scene file (RenderFormer JSON v1.0). Raises SceneError naming the file, the key and the fix."""
-        from rfpp.scene.formats import load_scene
+    @no_type_check  # PackedScene is built on this module, so its name cannot be known here at run time
+    def load(cls, path: str | Path) -> Scene | PackedScene:
+        """Read a scene file: RenderFormer JSON v1.0, or its H5, which holds no objects and comes packed.
 
-        return load_scene(Path(path))
+        Raises SceneError naming the file, the key and the fix.
+        """
+        from rfpp.scene.formats import load_scene
+        from rfpp.scene.h5 import load_h5
+
+        path = Path(path)
+        return load_h5(path) if path.suffix in (".h5", ".hdf5") else load_scene(path)
 
     def save(self, path: str | Path) -> Path:
         """Write RenderFormer JSON v1.0 with the meshes as OBJ files beside it; returns the path."""

@@ -7,7 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from lightning.pytorch.loggers import MLFlowLogger
+from lightning.pytorch.utilities import rank_zero_only
 from mlflow.tracking import MlflowClient
+from mlflow.utils.mlflow_tags import MLFLOW_PARENT_RUN_ID
 
 #: MLflow refuses longer parameter values.
 MAX_PARAMETER_LENGTH = 500
@@ -21,11 +23,31 @@ def local_store(folder: str | Path) -> dict[str, str]:
 
 
 def mlflow_logger(
-    experiment_name: str, run_name: str, folder: str | Path, tracking_uri: str | None = None
+    experiment_name: str,
+    run_name: str,
+    folder: str | Path,
+    tracking_uri: str | None = None,
+    parent: str | None = None,
 ) -> MLFlowLogger:
-    """A logger to the tracking server at `tracking_uri`, or to a store in `folder` when it is None."""
+    """A logger to the tracking server at `tracking_uri`, or to a store in `folder` when it is None.
+
+    Args:
+        parent: name of the run that this one is part of; the first that names it makes it.
+    """
     where = {"tracking_uri": tracking_uri} if tracking_uri else local_store(folder)
-    return MLFlowLogger(experiment_name=experiment_name, run_name=run_name, **where)
+    logger = MLFlowLogger(experiment_name=experiment_name, run_name=run_name, **where)
+    if parent is not None and rank_zero_only.rank == 0:
+        client = logger.experiment
+        client.set_tag(logger.run_id, MLFLOW_PARENT_RUN_ID, _parent_run(client, logger.experiment_id, parent))
+    return logger
+
+
+def _parent_run(client: MlflowClient, experiment: str, name: str) -> str:
+    """The id of the run of this name that holds others."""
+    holds_others = f"tags.holds_runs = 'true' and attributes.run_name = '{name}'"
+    if found := client.search_runs([experiment], holds_others, max_results=1):
+        return found[0].info.run_id
+    return client.create_run(experiment, run_name=name, tags={"holds_runs": "true"}).info.run_id
 
 
 def describe_run(logger: MLFlowLogger, config: dict[str, Any], config_file: Path, tags: dict[str, str]) -> None:

@@ -1,5 +1,6 @@
-"""A data set whose every image is half its albedo, and networks whose answers are known."""
+"""A data set whose every image is half its albedo, a network whose answers are known, and known results."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -8,9 +9,14 @@ import torch
 from known_scenes import look_at, still_life
 from torch import nn
 
+from rfpp.evaluation.confidence import Bootstrap, Estimate
+from rfpp.evaluation.evaluation_file import Evaluation
+from rfpp.evaluation.paper import PAPER_METRICS
+from rfpp.evaluation.records import ImageRecord, SceneRecord, scene_records
 from rfpp.gbuffer.direct_light import with_direct_light
 from rfpp.gbuffer.first_hit import first_hit, stack_channels
 from rfpp.gbuffer.light_sampler import LightSampler
+from rfpp.metrics.image import METRICS
 from rfpp.model.renderformer_pp import Rendering
 from rfpp.radiance import log_encode
 from rfpp.shards.manifest import MANIFEST_FILE, manifest_json
@@ -79,3 +85,56 @@ def half_albedo() -> nn.Module:
 @pytest.fixture
 def cpu() -> torch.device:
     return torch.device("cpu")
+
+
+def _record(
+    split: str, scene: str, view: int, predictor: str, log_l1: float, psnr: float, triangles: int = 500
+) -> ImageRecord:
+    return ImageRecord(split, scene, view, triangles, 7, predictor, {"log_l1": log_l1, "psnr": psnr})
+
+
+@pytest.fixture(scope="session")
+def images() -> list[ImageRecord]:
+    """Two scenes of test, of 500 and of 2000 triangles, and one of train_newviews, of 500."""
+    return [
+        _record("test", "a", 0, "model", 0.1, 30.0),
+        _record("test", "a", 1, "model", 0.3, 20.0),
+        _record("test", "b", 0, "model", 0.4, 10.0, triangles=2000),
+        _record("test", "a", 0, "black", 0.5, 35.0),
+        _record("test", "a", 1, "black", 0.5, 35.0),
+        _record("test", "b", 0, "black", 0.7, 35.0, triangles=2000),
+        _record("train_newviews", "c", 0, "model", 0.05, 33.0),
+    ]
+
+
+@pytest.fixture(scope="session")
+def scenes(images) -> list[SceneRecord]:
+    return scene_records(images)
+
+
+@pytest.fixture(scope="session")
+def bootstrap() -> Bootstrap:
+    return Bootstrap(resamples=2000, seed=0)
+
+
+@pytest.fixture(scope="session")
+def evaluation() -> Callable[..., Evaluation]:
+    """`evaluation(...)`: every metric of the model is `level` with an interval of ± 0.02, and 0.9 for black."""
+    return _evaluation
+
+
+def _evaluation(
+    method="RenderFormer++", data="small_scale", seed=0, level=0.1, splits=("train_newviews", "test"), **changes
+) -> Evaluation:
+    model = {name: Estimate(level, level - 0.02, level + 0.02, 50) for name in PAPER_METRICS}
+    black = dict.fromkeys(PAPER_METRICS, Estimate(0.9, 0.8, 1.0, 50))
+    about = {
+        "trained_on": data,
+        "steps": 27_000,
+        "commit": "abcdef123456",
+        "data_manifest": f"hash of {data}",
+        "hardware": "a machine, 2 cores",
+        "definitions": {name: METRICS[name].definition for name in PAPER_METRICS},
+        "means": {(split, who): values for split in splits for who, values in (("model", model), ("black", black))},
+    }
+    return Evaluation(method=method, data=data, seed=seed, **(about | changes))

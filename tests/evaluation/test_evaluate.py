@@ -2,18 +2,29 @@ import pytest
 import torch
 
 from rfpp.errors import ShardError, UserError
-from rfpp.evaluation.evaluate import MODEL, evaluate_split, fitted_baselines, ranked_scenes, render_stored
+from rfpp.evaluation.evaluate import (
+    baseline_records,
+    fitted_baselines,
+    network_records,
+    ranked_scenes,
+    render_stored,
+)
 from rfpp.evaluation.panels import save_scene_panel
-from rfpp.evaluation.tables import scene_means, split_means
+from rfpp.evaluation.records import MODEL, scene_records
 from rfpp.metrics.image import ImageMetrics
 from rfpp.radiance import log_encode
 from rfpp.shards.stream import ShardSplit
 
 
 @pytest.fixture
-def records(data_root, half_albedo, cpu):
-    test, train = ShardSplit(data_root, "test"), ShardSplit(data_root, "train")
-    return evaluate_split(half_albedo, test, fitted_baselines(train, 10), ImageMetrics(lpips=None), cpu)
+def of_network(data_root, half_albedo, cpu):
+    return network_records(half_albedo, ShardSplit(data_root, "test"), ImageMetrics(lpips=None), cpu, lambda: None)
+
+
+@pytest.fixture
+def records(data_root, of_network, cpu):
+    test, baselines = ShardSplit(data_root, "test"), fitted_baselines(ShardSplit(data_root, "train"), 10)
+    return of_network + baseline_records(baselines, test, ImageMetrics(lpips=None), cpu, lambda: None)
 
 
 def test_every_image_is_recorded_once_for_every_predictor(records) -> None:
@@ -37,16 +48,21 @@ def test_the_constant_baseline_is_fitted_on_the_training_split(data_root) -> Non
     assert constant.constant == pytest.approx(0.5, rel=0.01)
 
 
-def test_means_go_from_views_to_scenes_to_splits(records) -> None:
-    scenes, splits = scene_means(records), split_means(records)
+def test_records_hold_the_size_of_their_scene(records, data_root) -> None:
+    triangles = ShardSplit(data_root, "test")[2].triangles
+    sizes = {(r.triangles, r.objects) for r in records if r.scene == "test-000002"}
+    assert sizes == {(len(triangles), triangles.num_objects)}
+
+
+def test_a_scenes_record_is_the_mean_of_its_views(records) -> None:
     views = [r.values["l1"] for r in records if r.scene == "test-000000" and r.predictor == "black"]
-    assert scenes["test", "black", "test-000000"]["l1"] == pytest.approx(sum(views) / 2)
-    of_scenes = [v["l1"] for (_, who, _), v in scenes.items() if who == "black"]
-    assert splits["test", "black"]["l1"] == pytest.approx(sum(of_scenes) / 3)
+    (scene,) = [r for r in scene_records(records) if r.scene == "test-000000" and r.predictor == "black"]
+    assert len(set(views)) == 2
+    assert scene.values["l1"] == pytest.approx(sum(views) / 2)
 
 
-def test_best_median_and_worst_scene(records) -> None:
-    ranked = ranked_scenes(records)
+def test_best_median_and_worst_scene(of_network) -> None:
+    ranked = ranked_scenes(of_network)
     assert list(ranked.values()) == [1, 0, 2]  # levels 0.5, 0.6, 0.9
     assert [caption.split(",")[0] for caption in ranked] == [
         "best: test-000001",
@@ -58,8 +74,9 @@ def test_best_median_and_worst_scene(records) -> None:
 def test_progress_is_told_after_each_scene(data_root, half_albedo, cpu) -> None:
     calls = []
     split = ShardSplit(data_root, "test")
-    evaluate_split(half_albedo, split, [], ImageMetrics(lpips=None), cpu, lambda: calls.append(1))
-    assert len(calls) == len(split)
+    network_records(half_albedo, split, ImageMetrics(lpips=None), cpu, lambda: calls.append("network"))
+    baseline_records([], split, ImageMetrics(lpips=None), cpu, lambda: calls.append("baselines"))
+    assert calls == ["network"] * len(split) + ["baselines"] * len(split)
 
 
 def test_an_indivisible_resolution_is_one_line(data_root, half_albedo, cpu) -> None:
@@ -75,7 +92,7 @@ def test_an_empty_split_is_named(data_root, half_albedo, cpu) -> None:
             return 0
 
     with pytest.raises(ShardError, match="'test' is empty"):
-        evaluate_split(half_albedo, Empty(data_root, "test"), [], ImageMetrics(lpips=None), cpu)
+        network_records(half_albedo, Empty(data_root, "test"), ImageMetrics(lpips=None), cpu, lambda: None)
 
 
 def test_a_panel_of_chosen_scenes_is_written(data_root, half_albedo, cpu, tmp_path) -> None:

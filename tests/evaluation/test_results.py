@@ -1,10 +1,17 @@
+from pathlib import Path
+
+import pytest
 from mlflow.tracking import MlflowClient
 from networks import checkpoint_info
 
+from rfpp.evaluation.confidence import Estimate
 from rfpp.evaluation.results import log_to_training_run, tracked_metrics
 from rfpp.inference.checkpoint import CheckpointInfo
 
-MEANS = {("test", "model"): {"log_l1": 0.01}, ("test", "albedo x constant"): {"log_l1": 0.03}}
+MEANS = {
+    ("test", "model"): {"log_l1": Estimate(0.01, 0.008, 0.012, 5)},
+    ("test", "albedo x constant"): {"log_l1": Estimate(0.03, 0.02, 0.04, 5)},
+}
 
 
 def _info(uri: str | None, run_id: str | None) -> CheckpointInfo:
@@ -15,24 +22,44 @@ def test_names_tell_the_network_from_the_baselines() -> None:
     assert tracked_metrics(MEANS) == {"test/log_l1": 0.01, "test_baselines/albedo_x_constant/log_l1": 0.03}
 
 
-def test_results_are_added_to_the_finished_training_run(tmp_path) -> None:
+@pytest.fixture
+def finished_run(tmp_path) -> tuple[MlflowClient, str, str]:
+    """Client, tracking URI and id of a training run that has ended."""
     uri = f"sqlite:///{tmp_path}/mlflow.db"
     client = MlflowClient(uri)
     experiment = client.create_experiment("e", artifact_location=(tmp_path / "artifacts").as_uri())
     run = client.create_run(experiment).info.run_id
     client.set_terminated(run)
-    table = tmp_path / "summary.csv"
-    table.write_text("split\n")
-    assert log_to_training_run(_info(uri, run), MEANS, [table]).startswith("Logged")
+    return client, uri, run
+
+
+@pytest.fixture
+def table(tmp_path) -> Path:
+    path = tmp_path / "summary.csv"
+    path.write_text("split\n")
+    return path
+
+
+def test_results_are_added_to_the_finished_training_run(finished_run, table) -> None:
+    client, uri, run = finished_run
+    assert log_to_training_run(_info(uri, run), "small", MEANS, [table]).startswith("Logged")
     assert client.get_run(run).data.metrics == tracked_metrics(MEANS)
     assert [f.path for f in client.list_artifacts(run, "evaluation")] == ["evaluation/summary.csv"]
 
 
+def test_results_on_other_data_do_not_replace_those_on_its_own(finished_run, table) -> None:
+    client, uri, run = finished_run
+    log_to_training_run(_info(uri, run), "large_scale", MEANS, [table])
+    assert client.get_run(run).data.metrics["large_scale/test/log_l1"] == 0.01
+    assert "test/log_l1" not in client.get_run(run).data.metrics
+    assert [f.path for f in client.list_artifacts(run)] == ["evaluation_large_scale"]
+
+
 def test_a_lost_run_is_said_in_one_line(tmp_path) -> None:
-    line = log_to_training_run(_info(f"sqlite:///{tmp_path}/mlflow.db", "0" * 32), MEANS, [])
+    line = log_to_training_run(_info(f"sqlite:///{tmp_path}/mlflow.db", "0" * 32), "small", MEANS, [])
     assert line.startswith("Not logged")
     assert "\n" not in line
 
 
 def test_a_checkpoint_without_a_run_is_said() -> None:
-    assert "no MLflow run" in log_to_training_run(_info(None, None), MEANS, [])
+    assert "no MLflow run" in log_to_training_run(_info(None, None), "small", MEANS, [])

@@ -8,8 +8,13 @@ from omegaconf import OmegaConf
 from small_data import make
 
 from rfpp.entry import CONFIG_DIR
+from rfpp.evaluation.paper import TABLE_1, TABLE_2
 
-EXPERIMENTS = sorted(path.stem for path in (CONFIG_DIR / "experiment").glob("*.yaml"))
+ALL = {path.stem: path.read_text() for path in sorted((CONFIG_DIR / "experiment").glob("*.yaml"))}
+#: Those that bring their data, and those that change the network of another.
+DATA_EXPERIMENTS = [name for name, text in ALL.items() if "override /data:" in text]
+VARIANTS = [name for name in ALL if name not in DATA_EXPERIMENTS]
+METHODS = {row.method for table in (TABLE_1, TABLE_2) for block in table.blocks for row in block.rows}
 VERBS = ("generate", "train", "evaluate")
 GROUPS = ("scene", "reference", "data", "size", "model", "loss", "optimizer", "schedule", "datamodule", "trainer")
 
@@ -20,11 +25,26 @@ def data(tmp_path_factory):
 
 
 @pytest.mark.parametrize("verb", VERBS)
-@pytest.mark.parametrize("experiment", EXPERIMENTS)
+@pytest.mark.parametrize("experiment", ["quickstart", "small_scale", "large_scale"])
 def test_composes_for_every_verb_and_resolves(experiment, verb, composed):
     cfg = composed(verb, f"+experiment={experiment}", "run_dir=unused", *(["checkpoint=x"] * (verb == "evaluate")))
     resolved = OmegaConf.to_container(cfg, resolve=True, throw_on_missing=True)
     assert resolved["data"]["name"] == resolved["name"] == experiment
+
+
+@pytest.mark.parametrize("base", ["ablation", "large_scale"])
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_every_row_of_the_paper_composes_under_a_name_of_its_own(variant, base, composed):
+    cfg = composed("train", f"+experiment=[{base},{variant}]", "run_dir=unused")
+    resolved = OmegaConf.to_container(cfg, resolve=True, throw_on_missing=True)
+    assert resolved["variant"] == variant
+    assert resolved["name"] == f"{resolved['data']['name']}-{variant}"
+    assert resolved["method"] in METHODS - {"RenderFormer++"}
+
+
+def test_no_row_of_the_paper_lacks_an_experiment(composed):
+    methods = {composed("train", f"+experiment=[large_scale,{v}]", "run_dir=unused").method for v in VARIANTS}
+    assert methods | {"RenderFormer++"} == METHODS
 
 
 @pytest.mark.parametrize("group", GROUPS)
@@ -34,12 +54,12 @@ def test_every_choice_of_a_group_composes(group, composed):
         assert OmegaConf.to_container(cfg[group], resolve=True)
 
 
-@pytest.mark.parametrize("experiment", EXPERIMENTS)
+@pytest.mark.parametrize("experiment", [*DATA_EXPERIMENTS, *(f"[large_scale,{variant}]" for variant in VARIANTS)])
 def test_fast_dev_run_on_a_cpu(experiment, composed, data, tmp_path):
     from launch.train import main
 
     cfg = composed(
-        "train", f"+experiment={experiment}", "+debug=cpu", "trainer.fast_dev_run=true", f"data.root={data}",
+        "train", f"+experiment={experiment}", "initial_weights=null", "+debug=cpu", "trainer.fast_dev_run=true", f"data.root={data}",
         "data.resolution=8", "loss.lpips_weight=0.0", f"run_dir={tmp_path}",
     )  # fmt: skip
     assert main.__wrapped__(cfg) is None

@@ -72,7 +72,8 @@ def test_evaluation_writes_tables_and_reports_to_the_training_run(trained, compo
     )  # fmt: skip
     means = main.__wrapped__(cfg)
     assert {split for split, _ in means} == {"train_newviews", "test"}
-    assert {predictor for _, predictor in means} == {"model", "black", "mean image", "albedo x constant"}
+    baselines = {"black", "mean image", "albedo x constant", "direct light alone"}
+    assert {predictor for _, predictor in means} == {"model", *baselines}
     assert all(np.isfinite(row["log_l1"]) for row in means.values())
     assert (run / "evaluation" / "summary.csv").is_file()
     logged = client.get_run(load_network(checkpoint)[1].mlflow_run_id).data.metrics

@@ -1,0 +1,117 @@
+"""A table of results as lines of text, before any format: what is said in the row, and what beneath the table."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+from rfpp.evaluation.confidence import Estimate
+from rfpp.evaluation.evaluation_file import Evaluation
+from rfpp.evaluation.rows import ResultTable, Row, Run
+from rfpp.metrics.image import METRICS
+
+EMPTY = "—"
+
+#: What the lines of a row mean.
+LEGEND = (
+    "95% interval: percentile bootstrap over scenes. Where a number is a mean over splits or data sets, each counts "
+    "the same, and intervals are joined in quadrature; over seeds, which share their scenes, intervals are averaged. "
+    "sd: standard deviation of the seeds' means."
+)
+NAMES = "x: prediction, y: reference, I: either of them. Metrics are means over the views of a scene, then over scenes."
+
+
+@dataclass(frozen=True)
+class Layout:
+    """The text of a table.
+
+    Attributes:
+        title: caption.
+        groups: heading → how many columns it spans; two columns of labels come before.
+        headings: of all columns.
+        blocks: heading → lines, each with a cell for every column.
+        notes: what stands beneath, a line each.
+    """
+
+    title: str
+    groups: Mapping[str, int]
+    headings: Sequence[str]
+    blocks: Sequence[tuple[str, Sequence[Sequence[str]]]]
+    notes: Sequence[str]
+
+
+def lay_out(table: ResultTable) -> Layout:
+    """A line for the paper's numbers, one for ours, one for their interval, and one for their spread over seeds."""
+    columns = [(group, name) for group in range(len(table.groups)) for name in table.metrics]
+    notes: list[str] = []
+    blocks = [(h, [line for row in rows for line in _lines(row, columns, notes)]) for h, rows in table.blocks]
+    return Layout(
+        title=table.title,
+        groups=dict.fromkeys(table.groups, len(table.metrics)),
+        headings=["Method", "", *(METRICS[name].heading for _, name in columns)],
+        blocks=blocks,
+        notes=[*notes, LEGEND, NAMES, *(f"{METRICS[n].label}: {METRICS[n].definition}." for n in table.metrics)],
+    )
+
+
+def training_text(run: Run, paper_steps: int | None = None) -> str:
+    """E.g. "27K of the paper's 500K steps on small_scale"; without the paper's where ours are no fewer."""
+    steps = run.evaluations[0].steps
+    fraction = f" of the paper's {_thousands(paper_steps)}" if paper_steps and steps < paper_steps else ""
+    return f"{_thousands(steps)}{fraction} steps on {run.evaluations[0].trained_on}"
+
+
+def _lines(row: Row, columns: Sequence[tuple[int, str]], notes: list[str]) -> Iterator[list[str]]:
+    """The lines of one row; what they say of their runs is appended to `notes`."""
+    label = row.label
+    if row.paper is not None:
+        yield [label, "paper", *(_number(name, row.paper[group][name]) for group, name in columns)]
+        label = ""
+    if not row.runs:
+        yield [label, "ours: not run", *(EMPTY for _ in columns)]
+    for run in row.runs:
+        values = [run.columns[group].means.get(name) for group, name in columns]
+        means = [EMPTY if v is None else _number(name, v.mean) for v, (_, name) in zip(values, columns, strict=True)]
+        if row.is_baseline:
+            yield [label, "baseline", *means]
+            continue
+        notes.append(f"[{len(notes) + 1}] {_description(run)}")
+        yield [label, f"ours [{len(notes)}]: {training_text(run, row.paper_steps)}", *means]
+        yield ["", "95% interval", *(_interval(name, v) for v, (_, name) in zip(values, columns, strict=True))]
+        if len(run.seeds) > 1:
+            spread = [run.columns[group].deviations.get(name) for group, name in columns]
+            texts = [EMPTY if v is None else _number(name, v) for v, (_, name) in zip(spread, columns, strict=True)]
+            yield ["", f"sd of {len(run.seeds)} seeds", *texts]
+        label = ""
+
+
+def _description(run: Run) -> str:
+    first = run.evaluations[0]
+    seeds = ", ".join(map(str, run.seeds))
+    by_data = {e.data: e for e in run.evaluations}
+    hardware = " and ".join(dict.fromkeys(e.hardware for e in run.evaluations))
+    return (
+        f"{training_text(run)}, seed{'s' * (len(run.seeds) > 1)} {seeds}, commit {first.commit or 'unknown'}; "
+        f"evaluated on {' and '.join(map(_data, by_data.values()))}, by {hardware}."
+    )
+
+
+def _data(e: Evaluation) -> str:
+    scenes = {split: next(iter(values.values())).scenes for (split, _), values in e.means.items()}
+    counts = ", ".join(f"{split} {count} scenes" for split, count in scenes.items())
+    return f"{e.data} (manifest {e.data_manifest[:12]}; {counts})"
+
+
+def _interval(name: str, value: Estimate | None) -> str:
+    if value is None or math.isnan(value.margin):
+        return EMPTY
+    return f"{_number(name, value.low)}–{_number(name, value.high)}"
+
+
+def _number(name: str, value: float) -> str:
+    return f"{value:.{METRICS[name].decimals}f}"
+
+
+def _thousands(count: int) -> str:
+    return f"{count // 1000}K" if count and count % 1000 == 0 else str(count)

@@ -1,0 +1,47 @@
+"""Which ray tokens of a view see each other in the decoder's self-attention."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+
+from rfpp.batch import Segments
+from rfpp.model.attention import AttentionPattern
+
+
+class WholeView:
+    """Every ray token sees every other of its view."""
+
+    def __call__(self, views: int, rows: int, columns: int, device: torch.device) -> tuple[AttentionPattern, ...]:
+        """Patterns for N views of rows × columns patches, which the layers use in turn."""
+        return (AttentionPattern(Segments.from_lengths([rows * columns] * views, device)),)
+
+
+class ShiftedWindows:
+    """Tokens see their window of the patch grid, and in every second layer windows shifted by half their size.
+
+    As in RenderFormer's swin variant (after Liu et al., "Swin Transformer", 2021). Windows at the border of a shifted
+    grid are smaller, which is what the masks of a cyclic shift amount to.
+
+    Args:
+        size: patches along a window's side.
+    """
+
+    def __init__(self, size: int):
+        self.size = size
+
+    def __call__(self, views: int, rows: int, columns: int, device: torch.device) -> tuple[AttentionPattern, ...]:
+        return tuple(self._pattern(views, rows, columns, shift, device) for shift in (0, self.size // 2))
+
+    def _pattern(self, views: int, rows: int, columns: int, shift: int, device: torch.device) -> AttentionPattern:
+        down, along = (_windows(n, self.size, shift) for n in (rows, columns))
+        window = (down[:, None] * (along[-1] + 1) + along).ravel()
+        window = (np.arange(views)[:, None] * (window.max() + 1) + window).ravel()
+        order = torch.from_numpy(np.argsort(window, kind="stable")).to(device)
+        return AttentionPattern(Segments.from_lengths(np.bincount(window).tolist(), device), order=order)
+
+
+def _windows(count: int, size: int, shift: int) -> np.ndarray:
+    """[count] the window each position along an axis lies in."""
+    window = (np.arange(count) + (size - shift) % size) // size
+    return window - window[0]
