@@ -10,11 +10,11 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import torch
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from rfpp.entry import entry_point
+from rfpp.entry import entry_point, required
 from rfpp.errors import UserError
 from rfpp.evaluation.buckets import bucketed
 from rfpp.evaluation.confidence import Bootstrap, split_estimates
@@ -36,8 +36,9 @@ from rfpp.training.run import write_config
 def main(cfg: DictConfig) -> list[Evaluation]:
     """Evaluate each of `cfg.checkpoint` on `cfg.evaluation.splits`; returns what each scored, in the same order."""
     console = Console(highlight=False)
+    given = required(cfg, "checkpoint")
     splits = [ShardSplit(cfg.data.root, name) for name in cfg.evaluation.splits]
-    outputs = _outputs(cfg, splits[0].manifest.name)
+    outputs = _outputs([given] if isinstance(given, str) else list(given), cfg.output, splits[0].manifest.name)
     device = torch.device(cfg.device or ("cuda" if torch.cuda.is_available() else "cpu"))
     metrics = ImageMetrics(LPIPS.pretrained(cfg.loss.lpips_trunk_path) if cfg.evaluation.lpips else None)
     baselines = fitted_baselines(ShardSplit(cfg.data.root, "train"), cfg.evaluation.baseline_scenes)
@@ -48,12 +49,10 @@ def main(cfg: DictConfig) -> list[Evaluation]:
     return [_evaluate(cfg, *item, splits, metrics, beside, device, console) for item in outputs.items()]
 
 
-def _outputs(cfg: DictConfig, data: str) -> dict[str, Path]:
+def _outputs(checkpoints: Sequence[str], chosen: str | None, data: str) -> dict[str, Path]:
     """Checkpoint → folder for its results. All are loaded, lest a mistake in the last be found hours later."""
-    if OmegaConf.is_missing(cfg, "checkpoint") or not cfg.checkpoint:
-        raise UserError("checkpoint is not given: add checkpoint=<run folder>/checkpoints/best.ckpt")
-    checkpoints = [cfg.checkpoint] if isinstance(cfg.checkpoint, str) else list(cfg.checkpoint)
-    outputs = {c: Path(cfg.output or results_folder(c, load_network(c)[1], data)) for c in checkpoints}
+    folders = {checkpoint: results_folder(checkpoint, load_network(checkpoint)[1], data) for checkpoint in checkpoints}
+    outputs = {checkpoint: Path(chosen or folder) for checkpoint, folder in folders.items()}
     if len(set(outputs.values())) < len(checkpoints):
         raise UserError("checkpoint: two would write to one folder: evaluate each alone, with output=<folder>")
     return outputs

@@ -2,8 +2,8 @@
 
 Table 2 does not say what it averages, but the rows that it shares with Table 1 do: its numbers are the plain means of
 theirs over data sets and splits. RenderFormer++ (K=3) has a mean L1 of 0.0877 over its four entries in Table 1 and
-0.0876 in Table 2, MAPE 0.2282 and 0.2281, LPIPS 0.1182 and 0.1182; only SSIM does not fit, 0.8786 and 0.8758. Our Table 2 is
-averaged in the same way.
+0.0876 in Table 2, MAPE 0.2282 and 0.2281, LPIPS 0.1182 and 0.1182; only SSIM does not fit, 0.8786 and 0.8758. Our
+Table 2 is averaged in the same way.
 
 RenderFormer* in the upper part of Table 2 is likewise the mean of its two small-scale entries in Table 1, although the
 heading says "RenderFormer Dataset". We go by the heading.

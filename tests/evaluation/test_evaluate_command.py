@@ -1,6 +1,8 @@
 """launch/evaluate.py from a checkpoint on disk to its files."""
 
 import csv
+import shutil
+from pathlib import Path
 
 import pytest
 import torch
@@ -10,6 +12,7 @@ from omegaconf import OmegaConf
 
 from launch.evaluate import main
 from rfpp.entry import CONFIG_DIR
+from rfpp.evaluation.evaluation_file import Evaluation
 from rfpp.inference.checkpoint import CHECKPOINT_KEY, NETWORK_PREFIX, build
 from rfpp.shards.manifest import Manifest
 
@@ -26,27 +29,55 @@ def compose_evaluation(data_root):
 
 
 @pytest.fixture
-def checkpoint(compose_evaluation, data_root, tmp_path):
-    """An untrained small network, saved as training saves it."""
-    model = OmegaConf.to_container(compose_evaluation().model, resolve=True)
-    info = checkpoint_info(model, data_manifest=Manifest.load(data_root).hash)
-    state = {NETWORK_PREFIX + key: value for key, value in build(model, "test").state_dict().items()}
-    path = tmp_path / "run" / "checkpoints" / "best.ckpt"
-    path.parent.mkdir(parents=True)
-    torch.save({CHECKPOINT_KEY: info.to_dict(), "state_dict": state}, path)
-    return path
+def make_checkpoint(compose_evaluation, data_root, tmp_path):
+    """An untrained small network, saved as training saves it, in the folder of a run."""
+
+    def made(run: str, **about) -> Path:
+        model = OmegaConf.to_container(compose_evaluation().model, resolve=True)
+        manifest = Manifest.load(data_root)
+        info = checkpoint_info(model, **{"data_manifest": manifest.hash, "dataset": manifest.name, **about})
+        state = {NETWORK_PREFIX + key: value for key, value in build(model, "test").state_dict().items()}
+        path = tmp_path / run / "checkpoints" / "best.ckpt"
+        path.parent.mkdir(parents=True)
+        torch.save({CHECKPOINT_KEY: info.to_dict(), "state_dict": state}, path)
+        return path
+
+    return made
 
 
-def test_writes_tables_and_panels_into_the_run(compose_evaluation, checkpoint, capsys) -> None:
-    means = main.__wrapped__(compose_evaluation(f"checkpoint={checkpoint}"))
+def _summary(folder: Path) -> dict[str, dict[str, str]]:
+    return {row["predictor"]: row for row in csv.DictReader((folder / "summary.csv").open())}
+
+
+def test_writes_tables_and_panels_into_the_run(compose_evaluation, make_checkpoint, capsys) -> None:
+    checkpoint = make_checkpoint("run", method="RenderFormer++ w/o TCL", seed=3)
+    (evaluation,) = main.__wrapped__(compose_evaluation(f"checkpoint={checkpoint}"))
     folder = checkpoint.parents[1] / "evaluation"
     written = {path.name for path in folder.iterdir()}
-    assert written == {"test.csv", "test_scenes.csv", "summary.csv", "test.png", "config.yaml"}
-    rows = {row["predictor"]: row for row in csv.DictReader((folder / "summary.csv").open())}
-    assert float(rows["model"]["psnr"]) == pytest.approx(means["test", "model"]["psnr"], rel=1e-5)
+    tables = {"test.csv", "test_scenes.csv", "summary.csv", "buckets.csv", "evaluation.json"}
+    assert written == {*tables, "test.png", "config.yaml"}
+    assert Evaluation.read(folder / "evaluation.json") == evaluation
+    assert (evaluation.method, evaluation.seed, evaluation.data) == ("RenderFormer++ w/o TCL", 3, "known")
+    psnr = evaluation.means["test", "model"]["psnr"]
+    assert psnr.scenes == 3
+    assert psnr.low < psnr.mean < psnr.high
+    assert float(_summary(folder)["model"]["psnr_high"]) == pytest.approx(psnr.high, rel=1e-5)
     printed = capsys.readouterr().out
     assert "albedo x constant" in printed
     assert "another data set" not in printed
+
+
+def test_each_of_several_checkpoints_is_measured_alone_beside_the_same_baselines(
+    compose_evaluation, make_checkpoint, capsys
+) -> None:
+    first, second = make_checkpoint("a", seed=1), make_checkpoint("b", seed=2, dataset="other", data_manifest="other")
+    evaluations = main.__wrapped__(compose_evaluation(f"checkpoint=[{first},{second}]"))
+    assert [e.seed for e in evaluations] == [1, 2]
+    folders = [first.parents[1] / "evaluation", second.parents[1] / "evaluation_known"]
+    summaries = [_summary(folder) for folder in folders]
+    assert summaries[0]["model"] != summaries[1]["model"]
+    assert summaries[0]["black"] == summaries[1]["black"]
+    assert capsys.readouterr().out.count("another data set") == 1
 
 
 @pytest.mark.parametrize(
@@ -54,12 +85,20 @@ def test_writes_tables_and_panels_into_the_run(compose_evaluation, checkpoint, c
     [
         ("name=unchanged", "checkpoint is not given"),
         ("checkpoint=/nowhere/best.ckpt", "/nowhere/best.ckpt: no such checkpoint"),
+        ("checkpoint=[{run}/checkpoints/best.ckpt,/nowhere/best.ckpt]", "/nowhere/best.ckpt: no such checkpoint"),
+        ("checkpoint=[{run}/checkpoints/best.ckpt,{run}/checkpoints/last.ckpt]", "write to one folder"),
     ],
 )
-def test_a_bad_checkpoint_is_one_line(compose_evaluation, capsys, override, message) -> None:
+def test_a_bad_checkpoint_is_one_line_and_nothing_is_evaluated(
+    compose_evaluation, make_checkpoint, capsys, override, message
+) -> None:
+    best = make_checkpoint("run")
+    shutil.copy(best, best.with_name("last.ckpt"))
+    run = best.parents[1]
     with pytest.raises(SystemExit) as stop:
-        main.__wrapped__(compose_evaluation(override))
+        main.__wrapped__(compose_evaluation(override.format(run=run)))
     assert stop.value.code == 1
     error = capsys.readouterr().err
     assert message in error
     assert error.count("\n") == 1
+    assert [path.name for path in run.iterdir()] == ["checkpoints"]

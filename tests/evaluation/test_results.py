@@ -5,7 +5,7 @@ from mlflow.tracking import MlflowClient
 from networks import checkpoint_info
 
 from rfpp.evaluation.confidence import Estimate
-from rfpp.evaluation.results import log_to_training_run, tracked_metrics
+from rfpp.evaluation.results import RUNS, log_to_training_run, results_folder, tracked_metrics
 from rfpp.inference.checkpoint import CheckpointInfo
 
 MEANS = {
@@ -63,3 +63,16 @@ def test_a_lost_run_is_said_in_one_line(tmp_path) -> None:
 
 def test_a_checkpoint_without_a_run_is_said() -> None:
     assert "no MLflow run" in log_to_training_run(_info(None, None), "small", MEANS, [])
+
+
+def test_results_go_into_the_run_of_the_checkpoint(tmp_path) -> None:
+    checkpoint = tmp_path / "run" / "checkpoints" / "best.ckpt"
+    checkpoint.parent.mkdir(parents=True)
+    checkpoint.write_bytes(b"")
+    assert results_folder(str(checkpoint), checkpoint_info(), "small") == tmp_path / "run" / "evaluation"
+    assert results_folder(str(checkpoint), checkpoint_info(), "other") == tmp_path / "run" / "evaluation_other"
+
+
+def test_a_released_network_gets_a_folder_among_the_runs() -> None:
+    folder = results_folder("someone/renderformer", checkpoint_info(), "other")
+    assert folder == RUNS / "renderformer" / "evaluation_other"

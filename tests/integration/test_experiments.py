@@ -59,8 +59,8 @@ def test_fast_dev_run_on_a_cpu(experiment, composed, data, tmp_path):
     from launch.train import main
 
     cfg = composed(
-        "train", f"+experiment={experiment}", "initial_weights=null", "+debug=cpu", "trainer.fast_dev_run=true", f"data.root={data}",
-        "data.resolution=8", "loss.lpips_weight=0.0", f"run_dir={tmp_path}",
+        "train", f"+experiment={experiment}", "+debug=cpu", "trainer.fast_dev_run=true", f"data.root={data}",
+        "data.resolution=8", "loss.lpips_weight=0.0", "initial_weights=null", f"run_dir={tmp_path}",
     )  # fmt: skip
     assert main.__wrapped__(cfg) is None
 
