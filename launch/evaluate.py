@@ -10,11 +10,11 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import torch
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from rfpp.entry import entry_point, required
+from rfpp.entry import entry_point
 from rfpp.errors import UserError
 from rfpp.evaluation.buckets import bucketed
 from rfpp.evaluation.confidence import Bootstrap, split_estimates
@@ -36,9 +36,11 @@ from rfpp.training.run import write_config
 def main(cfg: DictConfig) -> list[Evaluation]:
     """Evaluate each of `cfg.checkpoint` on `cfg.evaluation.splits`; returns what each scored, in the same order."""
     console = Console(highlight=False)
-    given = required(cfg, "checkpoint")
+    if OmegaConf.is_missing(cfg, "checkpoint"):
+        raise UserError("checkpoint is not given: add checkpoint=<run folder>/checkpoints/best.ckpt")
+    checkpoints = [cfg.checkpoint] if isinstance(cfg.checkpoint, str) else list(cfg.checkpoint)
     splits = [ShardSplit(cfg.data.root, name) for name in cfg.evaluation.splits]
-    outputs = _outputs([given] if isinstance(given, str) else list(given), cfg.output, splits[0].manifest.name)
+    outputs = _outputs(checkpoints, cfg.output, splits[0].manifest.name)
     device = torch.device(cfg.device or ("cuda" if torch.cuda.is_available() else "cpu"))
     metrics = ImageMetrics(LPIPS.pretrained(cfg.loss.lpips_trunk_path) if cfg.evaluation.lpips else None)
     baselines = fitted_baselines(ShardSplit(cfg.data.root, "train"), cfg.evaluation.baseline_scenes)

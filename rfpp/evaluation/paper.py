@@ -67,7 +67,8 @@ class PaperTable:
 
 # fmt: off
 TABLE_1 = PaperTable(  # tab:large_small_quality
-    "table1", "Table 1. Quality on small- and large-scale scenes", {"Train split": (TRAIN,), "Test split": (TEST,)},
+    "table1", "Quality on small- and large-scale scenes (the paper's Table 1)",
+    {"Train split": (TRAIN,), "Test split": (TEST,)},
     (
         PaperBlock("Small-scale data set", ("small_scale",), (
             PaperRow("RenderFormer", "RenderFormer", (
@@ -89,7 +90,8 @@ TABLE_1 = PaperTable(  # tab:large_small_quality
 )
 
 TABLE_2 = PaperTable(  # Ablation
-    "table2", "Table 2. Ablation of PITG, HOCT and GGD", {"Mean of both splits, and of the data sets": (TRAIN, TEST)},
+    "table2", "Ablation of PITG, HOCT and GGD (the paper's Table 2)",
+    {"Mean of both splits, and of the data sets": (TRAIN, TEST)},
     (
         PaperBlock("RenderFormer data set", ("renderformer",), (
             PaperRow("RenderFormer*", "RenderFormer*", (0.0761, 0.1129, 0.0814, 0.8829), steps=None),

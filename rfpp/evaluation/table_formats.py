@@ -109,7 +109,8 @@ def _about(row: Row, run: Run | None) -> CsvRow:
 
 
 def _joined(evaluations: Sequence[Evaluation], of: Callable[[Evaluation], object]) -> str | None:
-    return "; ".join(dict.fromkeys(str(of(e)) for e in evaluations)) or None
+    values = dict.fromkeys(of(e) for e in evaluations)
+    return "; ".join(str(value) for value in values if value is not None) or None
 
 
 def _latex_line(cells: Sequence[str]) -> str:

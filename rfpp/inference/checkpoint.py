@@ -115,15 +115,17 @@ def _read(path: Path) -> tuple[CheckpointInfo, dict[str, torch.Tensor]]:
         raise CheckpointError(f"{path}: cannot be read as a checkpoint ({reason[:160]}): copy it again") from None
     if not isinstance(content, dict) or CHECKPOINT_KEY not in content:
         raise CheckpointError(f"{path}: not a checkpoint of this project: give one written by launch/train.py")
-    try:
-        info = CheckpointInfo(**content[CHECKPOINT_KEY])
-    except TypeError as error:
-        raise CheckpointError(f"{path}: its description does not fit ({error}): use the version that made it") from None
-    if info.schema_version != SCHEMA_VERSION:
+    about = content[CHECKPOINT_KEY]
+    version = about.get("schema_version") if isinstance(about, dict) else None
+    if version != SCHEMA_VERSION:
         raise CheckpointError(
-            f"{path}: checkpoint schema {info.schema_version}, this code reads {SCHEMA_VERSION}: "
+            f"{path}: checkpoint schema {version}, this code reads {SCHEMA_VERSION}: "
             "use the version of rfpp that made it"
         )
+    try:
+        info = CheckpointInfo(**about)
+    except TypeError as error:
+        raise CheckpointError(f"{path}: its description does not fit ({error}): use the version that made it") from None
     state = content.get("state_dict", {})
     return info, {k.removeprefix(NETWORK_PREFIX): v for k, v in state.items() if k.startswith(NETWORK_PREFIX)}
 

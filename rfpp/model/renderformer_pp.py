@@ -71,12 +71,15 @@ class RenderFormerPP(nn.Module):
 
     def encode(self, batch: RaggedBatch) -> EncodedScenes:
         """The view-independent stage: once per scene, whatever the number of views."""
-        exposure = self.exposure(batch)
-        batch = batch.dimmed(exposure)
-        triangles = self.embedding(batch)
-        tokens = self.tokenizer(triangles, batch)
+        exposure, tokens = self.tokenize(batch)
         transported = self.transport(tokens)
         return EncodedScenes(transported.tokens, exposure, transported.states)
+
+    def tokenize(self, batch: RaggedBatch) -> tuple[Float[Tensor, " b"], SceneTokens]:
+        """Each scene's exposure and, at that, its tokens before any light has moved."""
+        exposure = self.exposure(batch)
+        batch = batch.dimmed(exposure)
+        return exposure, self.tokenizer(self.embedding(batch), batch)
 
     def view(
         self,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import torch
 import torch.nn.functional as F
@@ -27,6 +28,13 @@ class Transported:
 
     tokens: SceneTokens
     states: tuple[Float[Tensor, "n width"], ...] = ()
+
+
+class Bounces(NamedTuple):
+    """F_e [N, D] and the scattered features ⁽⁰⁾F_s, ⁽¹⁾F_s, …, one more than the applications of the operator."""
+
+    emitted: Float[Tensor, "n width"]
+    scattered: tuple[Float[Tensor, "n width"], ...]
 
 
 class UnconstrainedTransport(nn.Module):
@@ -56,6 +64,9 @@ class EncodedTransport(nn.Module):
 
     def forward(self, tokens: SceneTokens) -> Transported:
         return self.transport(self.encoder(tokens).tokens)
+
+    def bounces(self, tokens: SceneTokens, count: int) -> Bounces:
+        return self.transport.bounces(self.encoder(tokens).tokens, count)
 
 
 class EmissionEncoder(nn.Module):
@@ -119,12 +130,15 @@ class PhysicsInformedTransport(nn.Module):
         self.operator = TransportOperator(width, heads, hidden, layers)
 
     def forward(self, tokens: SceneTokens) -> Transported:
+        # in training one more application, for the consistency loss of the last state
+        emitted, (_, *states) = self.bounces(tokens, self.iterations + self.training)
+        return Transported(replace(tokens, features=states[self.iterations - 1] + emitted), tuple(states))
+
+    def bounces(self, tokens: SceneTokens, count: int) -> Bounces:
+        """The operator applied `count` times, whatever K."""
         pattern, rotation = AttentionPattern(tokens.segments), self.position(tokens.points)
         emitted, scattered = self.emission_encoder(tokens.features, tokens.log_emission)
-        states = []
-        for _ in range(self.iterations):
-            scattered = self.operator(scattered + emitted, pattern, rotation)
-            states.append(scattered)
-        if self.training:  # one more application, for the consistency loss of the last state
-            states.append(self.operator(scattered + emitted, pattern, rotation))
-        return Transported(replace(tokens, features=scattered + emitted), tuple(states))
+        states = [scattered]
+        for _ in range(count):
+            states.append(self.operator(states[-1] + emitted, pattern, rotation))
+        return Bounces(emitted, tuple(states))

@@ -70,14 +70,15 @@ def test_evaluation_writes_tables_and_reports_to_the_training_run(trained, compo
         "evaluate", "+experiment=quickstart", f"data.root={rendered_data}", f"checkpoint={checkpoint}",
         "evaluation.lpips=false", "device=cpu",
     )  # fmt: skip
-    means = main.__wrapped__(cfg)
+    (evaluation,) = main.__wrapped__(cfg)
+    means = evaluation.means
     assert {split for split, _ in means} == {"train_newviews", "test"}
     baselines = {"black", "mean image", "albedo x constant", "direct light alone"}
     assert {predictor for _, predictor in means} == {"model", *baselines}
-    assert all(np.isfinite(row["log_l1"]) for row in means.values())
+    assert all(np.isfinite(row["log_l1"].mean) for row in means.values())
     assert (run / "evaluation" / "summary.csv").is_file()
     logged = client.get_run(load_network(checkpoint)[1].mlflow_run_id).data.metrics
-    assert logged["test/log_l1"] == pytest.approx(means["test", "model"]["log_l1"])
+    assert logged["test/log_l1"] == pytest.approx(means["test", "model"]["log_l1"].mean)
 
 
 def test_render_writes_exr_png_reference_and_comparison(trained, composed, tmp_path, capsys):

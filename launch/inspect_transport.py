@@ -1,0 +1,41 @@
+"""Look into a trained transport operator: does it converge, and does light build up bounce by bounce?
+
+python launch/inspect_transport.py +experiment=quickstart checkpoint=data/runs/quickstart/latest/checkpoints/best.ckpt
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import torch
+from omegaconf import DictConfig
+from rich.console import Console
+from rich.progress import Progress
+
+from rfpp.entry import entry_point, required
+from rfpp.evaluation.transport import trace_transport
+from rfpp.evaluation.transport_report import write_transport_report
+from rfpp.inference.checkpoint import load_network
+from rfpp.shards.stream import ShardSplit
+
+
+@entry_point("inspect_transport")
+def main(cfg: DictConfig) -> Path:
+    """Trace `cfg.checkpoint` on `cfg.split`; returns the report's page."""
+    console = Console(highlight=False, soft_wrap=True)
+    network, info = load_network(required(cfg, "checkpoint"))
+    device = torch.device(cfg.device or ("cuda" if torch.cuda.is_available() else "cpu"))
+    output = Path(cfg.output) if cfg.output else Path(cfg.checkpoint).parents[1] / "transport"
+    split = ShardSplit(cfg.data.root, cfg.split)
+    with Progress(*Progress.get_default_columns(), console=console) as bar:
+        task = bar.add_task("Scenes", total=len(split))
+        network.to(device)
+        trace = trace_transport(network, split, cfg.applications, cfg.shown, device, lambda: bar.advance(task))
+    title = f"{len(split)} scenes of {cfg.data.root}, split {cfg.split}"
+    *_, page = write_transport_report(trace, info, title, output)
+    console.print(f"Report: {page}")
+    return page
+
+
+if __name__ == "__main__":
+    main()
