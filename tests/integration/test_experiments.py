@@ -47,6 +47,17 @@ def test_no_row_of_the_paper_lacks_an_experiment(composed):
     assert methods | {"RenderFormer++"} == METHODS
 
 
+def test_renderformer_has_as_many_parameters_as_the_released_one():
+    from launch.parameters import counts_by_method
+
+    counts = counts_by_method("base")
+    assert counts.keys() == METHODS
+    folded = (13 * 32 * 32 - 10) * 768  # patches of 13 channels where ours has ten numbers
+    frequencies = 2 * 6  # which are no parameters of ours
+    assert counts["RenderFormer"]["total"] + folded + frequencies == 205_173_391
+    assert 0.9 < counts["RenderFormer++"]["total"] / 205_173_391 < 1
+
+
 @pytest.mark.parametrize("group", GROUPS)
 def test_every_choice_of_a_group_composes(group, composed):
     for choice in sorted(path.stem for path in (CONFIG_DIR / group).glob("*.yaml")):
