@@ -42,7 +42,8 @@ def main(cfg: DictConfig) -> list[Evaluation]:
     splits = [ShardSplit(cfg.data.root, name) for name in cfg.evaluation.splits]
     outputs = _outputs(checkpoints, cfg.output, splits[0].manifest.name)
     device = torch.device(cfg.device or ("cuda" if torch.cuda.is_available() else "cpu"))
-    metrics = ImageMetrics(LPIPS.pretrained(cfg.loss.lpips_trunk_path) if cfg.evaluation.lpips else None)
+    lpips = LPIPS.pretrained(cfg.loss.lpips_trunk_path) if cfg.evaluation.lpips else None
+    metrics = ImageMetrics(lpips, cfg.evaluation.by_bounce)
     baselines = fitted_baselines(ShardSplit(cfg.data.root, "train"), cfg.evaluation.baseline_scenes)
     beside = []
     with _bar(console) as bar:

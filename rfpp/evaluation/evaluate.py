@@ -85,7 +85,8 @@ def network_records(
     for index in _scenes(split):
         scene = render_stored(network, split, index, device)
         at = (split.split, scene.key, scene.triangles, scene.objects)
-        records += _image_records(at, MODEL, metrics(scene.prediction, scene.reference))
+        direct = DirectLightAlone().predict(scene.gbuffer)
+        records += _image_records(at, MODEL, metrics(scene.prediction, scene.reference, direct))
         on_scene()
     return records
 
@@ -103,9 +104,10 @@ def baseline_records(
         views = select_views(sample, range(len(sample.fov)), CHANNELS)
         gbuffer = _by_name(torch.from_numpy(views.gbuffer).to(device))
         reference = torch.from_numpy(views.image).to(device)
+        direct = DirectLightAlone().predict(gbuffer)
         at = (split.split, sample.key, len(sample.triangles), sample.triangles.num_objects)
         for baseline in baselines:
-            records += _image_records(at, baseline.name, metrics(baseline.predict(gbuffer), reference))
+            records += _image_records(at, baseline.name, metrics(baseline.predict(gbuffer), reference, direct))
         on_scene()
     return records
 

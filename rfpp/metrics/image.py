@@ -56,6 +56,8 @@ METRICS = MappingProxyType(
         "lpips": Metric("LPIPS", False, f"VGG16 v0.1 on {TONE_MAP} scaled to [-1, 1]", 4),
         "ssim": Metric("SSIM", True, f"11x11 Gaussian, sigma 1.5, range 1, mirrored border, on {TONE_MAP}", 4),
         "psnr": Metric("PSNR", True, f"dB, peak 1, on {TONE_MAP}", 2),
+        "l1_direct": Metric("L1 dir.", False, "mean |x - y| d, d: share of direct light in y; linear HDR", 4),
+        "l1_indirect": Metric("L1 ind.", False, "mean |x - y| (1 - d), linear HDR", 4),
     }
 )
 
@@ -68,6 +70,20 @@ def log_l1(prediction: Images, reference: Images) -> PerImage:
 def l1(prediction: Images, reference: Images) -> PerImage:
     """mean |x - y| of linear radiance."""
     return (prediction - reference).abs().flatten(1).mean(dim=1)
+
+
+def l1_by_bounce(prediction: Images, reference: Images, direct: Images) -> tuple[PerImage, PerImage]:
+    """L1 in two parts, which add up to it: of direct light, and of light that was reflected on the way.
+
+    An image does not say which of its light is which, so the error of each pixel and colour is divided as the
+    reference is: d = min(direct / reference, 1).
+
+    Args:
+        direct: linear radiance of the first bounce at the same pixels.
+    """
+    share = (direct / reference.clamp_min(1e-9)).clamp(0, 1)
+    error = (prediction - reference).abs()
+    return (error * share).flatten(1).mean(dim=1), (error * (1 - share)).flatten(1).mean(dim=1)
 
 
 def mape(prediction: Images, reference: Images) -> PerImage:
@@ -98,17 +114,25 @@ class ImageMetrics:
 
     Args:
         lpips: the LPIPS to use, or None to leave the column out.
+        by_bounce: also `l1_by_bounce`, as l1_direct and l1_indirect.
     """
 
-    def __init__(self, lpips: LPIPS | None) -> None:
+    def __init__(self, lpips: LPIPS | None, by_bounce: bool = False) -> None:
+        self.by_bounce = by_bounce
         self._functions = {"log_l1": log_l1, "l1": l1, "mape": mape, "ssim": ssim, "psnr": psnr}
         if lpips is not None:
             self._functions["lpips"] = lambda x, y: lpips(2 * perceptual(x) - 1, 2 * perceptual(y) - 1)
         self.names = tuple(name for name in METRICS if name in self._functions)
 
     @torch.no_grad()
-    def __call__(self, prediction: Images, reference: Images) -> dict[str, PerImage]:
-        """Values by metric name, in float32 whatever the inputs or the surrounding autocast."""
+    def __call__(self, prediction: Images, reference: Images, direct: Images | None = None) -> dict[str, PerImage]:
+        """Values by metric name, in float32 whatever the inputs or the surrounding autocast.
+
+        `direct`, the radiance of the first bounce, is needed `by_bounce`.
+        """
         with torch.autocast(prediction.device.type, enabled=False):
             x, y = prediction.float(), reference.float()
-            return {name: self._functions[name](x, y) for name in self.names}
+            values = {name: self._functions[name](x, y) for name in self.names}
+            if self.by_bounce:
+                values["l1_direct"], values["l1_indirect"] = l1_by_bounce(x, y, direct.float())
+            return values

@@ -6,8 +6,10 @@ from rfpp.metrics.image import METRICS, ImageMetrics
 
 
 @pytest.fixture
-def metrics(random_lpips) -> ImageMetrics:
-    return ImageMetrics(random_lpips)
+def metrics(random_lpips):
+    """All of them, of images half of whose light is direct."""
+    of_all = ImageMetrics(random_lpips, by_bounce=True)
+    return lambda prediction, reference: of_all(prediction, reference, 0.5 * reference)
 
 
 def _pair(seed: int = 0, n: int = 3, size: int = 48) -> tuple[torch.Tensor, torch.Tensor]:
@@ -48,3 +50,20 @@ def test_without_lpips_its_column_is_absent() -> None:
     metrics = ImageMetrics(lpips=None)
     assert "lpips" not in metrics.names
     assert tuple(metrics(*_pair())) == metrics.names
+
+
+def test_l1_by_bounce_adds_up_and_tells_shadow_from_light() -> None:
+    reference = torch.full((1, 3, 16, 16), 2.0)
+    direct = reference.clone()
+    direct[..., 8:] = 0  # a right half in shadow
+    wrong_in_light, wrong_in_shadow = reference.clone(), reference.clone()
+    wrong_in_light[..., :8] += 1
+    wrong_in_shadow[..., 8:] += 1
+    metrics = ImageMetrics(lpips=None, by_bounce=True)
+    for prediction, parts in ((wrong_in_light, (0.5, 0.0)), (wrong_in_shadow, (0.0, 0.5))):
+        values = metrics(prediction, reference, direct)
+        assert (values["l1_direct"].item(), values["l1_indirect"].item()) == parts
+        assert values["l1"].item() == sum(parts)
+    noisy = torch.rand(2, 3, 16, 16)
+    values = metrics(noisy, 2 * torch.rand(2, 3, 16, 16), torch.rand(2, 3, 16, 16))
+    torch.testing.assert_close(values["l1_direct"] + values["l1_indirect"], values["l1"])
