@@ -7,7 +7,7 @@ from skimage.metrics import structural_similarity
 from torch import nn
 from torchmetrics.functional.image import lpips as torchmetrics_lpips
 
-from rfpp.metrics.image import METRICS, ImageMetrics
+from rfpp.metrics.image import ImageMetrics
 
 #: Half the width of SSIM's window.
 BORDER = 5
@@ -109,7 +109,7 @@ def test_values_are_the_same_inside_a_bf16_autocast(metrics, pair) -> None:
     expected = metrics(*pair)
     with torch.autocast("cpu", torch.bfloat16):
         values = metrics(*pair)
-    for name in METRICS:
+    for name in metrics.names:
         assert values[name].dtype == torch.float32
         assert torch.equal(values[name], expected[name]), name
 
@@ -118,7 +118,7 @@ def test_values_are_the_same_inside_a_bf16_autocast(metrics, pair) -> None:
 def test_images_of_another_precision_are_cast_before_anything_is_computed(metrics, pair, dtype) -> None:
     given = [images.to(dtype) for images in pair]
     values, expected = metrics(*given), metrics(*(images.float() for images in given))
-    for name in METRICS:
+    for name in metrics.names:
         assert values[name].dtype == torch.float32
         assert torch.equal(values[name], expected[name]), name
 

@@ -1,0 +1,55 @@
+"""From a checkpoint of every row of the paper's tables to the tables themselves, none left empty."""
+
+import csv
+
+import pytest
+import torch
+from hydra.utils import instantiate
+from networks import SMALLEST, checkpoint_info
+from omegaconf import OmegaConf
+from small_data import make
+
+from rfpp.entry import CONFIG_DIR
+from rfpp.evaluation.tables import main as write_tables
+from rfpp.inference.checkpoint import CHECKPOINT_KEY, NETWORK_PREFIX
+
+EXPERIMENTS = sorted((CONFIG_DIR / "experiment").glob("*.yaml"))
+VARIANTS = [path.stem for path in EXPERIMENTS if "variant" in OmegaConf.load(path)]
+DATA = ("small_scale", "large_scale", "renderformer")
+
+
+@pytest.fixture(scope="module")
+def checkpoints(composed, tmp_path_factory) -> list[str]:
+    """Untrained small networks, saved as training saves them."""
+    folder = tmp_path_factory.mktemp("runs")
+    paths = []
+    for experiment in ("large_scale", *(f"[large_scale,{variant}]" for variant in VARIANTS)):
+        cfg = composed("train", f"+experiment={experiment}", "size=tiny", *SMALLEST, "run_dir=unused")
+        model = OmegaConf.to_container(cfg.model, resolve=True)
+        info = checkpoint_info(model, dataset="small_scale", method=cfg.method)
+        state = {NETWORK_PREFIX + k: v for k, v in instantiate(cfg.model, _convert_="all").state_dict().items()}
+        path = folder / cfg.variant / "checkpoints" / "last.ckpt"
+        path.parent.mkdir(parents=True)
+        torch.save({CHECKPOINT_KEY: info.to_dict(), "state_dict": state}, path)
+        paths.append(str(path))
+    return paths
+
+
+def test_every_row_is_evaluated_and_stands_in_the_tables(checkpoints, composed, tmp_path):
+    from launch.evaluate import main
+
+    for name in DATA:
+        splits = {"train": 2, "train_newviews": 2, "test": 2}
+        root = make(tmp_path / name, name=name, splits=splits, resolution=16).root
+        cfg = composed(
+            "evaluate", f"data.root={root}", f"checkpoint=[{','.join(checkpoints)}]", "evaluation.lpips=false",
+            "evaluation.bootstrap.resamples=50", "device=cpu",
+        )  # fmt: skip
+        assert len(main.__wrapped__(cfg)) == len(checkpoints)
+
+    write_tables([checkpoints[0].split("/rfpp/")[0], "--output", str(tmp_path / "tables")])
+    for table, rows in (("table1", 6), ("table2", 10)):
+        text = (tmp_path / "tables" / f"{table}.md").read_text()
+        assert "not run" not in text
+        written = list(csv.DictReader((tmp_path / "tables" / f"{table}.csv").open()))
+        assert len({tuple(list(row.values())[:2]) for row in written}) >= rows
