@@ -39,7 +39,7 @@ class Evaluation:
     method: str
     trained_on: str
     seed: int
-    steps: int
+    steps: int | None
     commit: str | None
     data: str
     data_manifest: str

@@ -58,6 +58,8 @@ def lay_out(table: ResultTable) -> Layout:
 def training_text(run: Run, paper_steps: int | None = None) -> str:
     """E.g. "27K of the paper's 500K steps on small_scale"; without the paper's where ours are no fewer."""
     steps = run.evaluations[0].steps
+    if steps is None:
+        return f"trained on {run.evaluations[0].trained_on}"
     fraction = f" of the paper's {_thousands(paper_steps)}" if paper_steps and steps < paper_steps else ""
     return f"{_thousands(steps)}{fraction} steps on {run.evaluations[0].trained_on}"
 

@@ -102,10 +102,10 @@ def _gather(
         diffuse += (unshadowed[:, mine] @ sampler.radiance[mine]) * visible[:, None]
 
         used = in_sight & shines[:, None]
-        rows, there, density = np.nonzero(used)[0], local[used], density[used]
-        lobe_density = ggx.pdf(view[rows], there, surface.alpha[rows])
-        reflected = ggx.lobe(view[rows], there, surface.alpha[rows])[:, None] * sampler.radiance[emitter[used]]
-        np.add.at(glossy, rows, reflected * _over_density(density, lobe_density)[:, None])
+        rows = np.nonzero(used)[0]
+        reflected, by_lobe = _lobe(view[rows], local[used], surface.alpha[rows])
+        weight = reflected * _over_density(density[used], by_lobe)
+        np.add.at(glossy, rows, weight[:, None] * sampler.radiance[emitter[used]])
 
     rows = np.repeat(np.flatnonzero(shines), samples)
     local = ggx.sample(view[rows], surface.alpha[rows], _lattice(samples, shifts[shines, -1]).reshape(-1, 2))
@@ -113,14 +113,20 @@ def _gather(
     hits = sampler.caster.cast(surface.point[rows], way)
     emitter = sampler.emitter_of(hits.triangle)
     used = (emitter >= 0) & (local[:, 2] > 0)
-    rows, local, emitter = rows[used], local[used], emitter[used]
-    density = sampler.density(emitter, way[used], hits.distance[used].astype(np.float64))
-    lobe_density = ggx.pdf(view[rows], local, surface.alpha[rows])
-    reflected = ggx.lobe(view[rows], local, surface.alpha[rows])[:, None] * sampler.radiance[emitter]
-    np.add.at(glossy, rows, reflected * _over_density(lobe_density, density)[:, None])
+    rows, emitter = rows[used], emitter[used]
+    reflected, by_lobe = _lobe(view[rows], local[used], surface.alpha[rows])
+    by_light = sampler.density(emitter, way[used], hits.distance[used].astype(np.float64))
+    np.add.at(glossy, rows, (reflected * _over_density(by_lobe, by_light))[:, None] * sampler.radiance[emitter])
 
     glossy *= ggx.multiple_scattering(view[:, 2], surface.alpha, surface.specular) / samples
     return np.stack([diffuse, glossy])
+
+
+def _lobe(
+    view: Float[np.ndarray, "n 3"], light: Float[np.ndarray, "n 3"], alpha: Float[np.ndarray, " n"]
+) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+    """What the glossy lobe reflects from each direction, and the density of its own samples there."""
+    return ggx.lobe(view, light, alpha), ggx.pdf(view, light, alpha)
 
 
 def _over_density(own: Float[np.ndarray, " n"], other: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:

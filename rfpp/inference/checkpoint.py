@@ -22,14 +22,14 @@ SCHEMA_VERSION = 2
 ALLOWED_PREFIX = "rfpp.model."
 #: The network's place in a Lightning state dict.
 NETWORK_PREFIX = "network."
-#: What is known of the released RenderFormer: trained at 256² for 500K steps, on data of its own.
+#: What is known of the released RenderFormer; 512 pixels are its pipeline's default.
 RELEASED = {
-    "resolution": (256, 256),
+    "resolution": (512, 512),
     "data_manifest": "unknown",
-    "dataset": "renderformer (official)",
+    "dataset": "its authors' data",
     "method": "RenderFormer",
     "seed": 0,
-    "steps": 500_000,
+    "steps": None,
 }
 
 
@@ -44,7 +44,7 @@ class CheckpointInfo:
         dataset: its name.
         method: the network's name in tables of results, e.g. "RenderFormer++".
         seed: of weights, data order, views and augmentation.
-        steps: optimizer steps it was trained for.
+        steps: optimizer steps it was trained for, if known.
         commit: code version, or None outside a repository.
         mlflow_run_id, mlflow_tracking_uri: the run it belongs to, or None.
         schema_version: of this record.
@@ -56,7 +56,7 @@ class CheckpointInfo:
     dataset: str
     method: str
     seed: int
-    steps: int
+    steps: int | None
     commit: str | None = None
     mlflow_run_id: str | None = None
     mlflow_tracking_uri: str | None = None

@@ -51,7 +51,9 @@ _HUB_ID = re.compile(r"[A-Za-z0-9][\w.-]*/[A-Za-z0-9][\w.-]*")
 
 def is_released(checkpoint: Path | str) -> bool:
     """Whether this names a checkpoint in the released layout: a folder, or what can only be a hub id."""
-    return Path(checkpoint).is_dir() or (not Path(checkpoint).exists() and bool(_HUB_ID.fullmatch(str(checkpoint))))
+    path = Path(checkpoint)
+    is_hub_id = _HUB_ID.fullmatch(str(checkpoint)) and path.suffix != ".ckpt"
+    return path.is_dir() or (not path.exists() and bool(is_hub_id))
 
 
 def read_released(checkpoint: Path | str) -> tuple[dict[str, Any], dict[str, Tensor]]:

@@ -37,12 +37,9 @@ def load_h5(path: Path) -> PackedScene:
     try:
         with h5py.File(path) as file:
             arrays = {name: _array(file, name) for name in _SHAPES}
+        _check(arrays)
     except OSError as error:
         raise SceneError(f"{path}: cannot be read as HDF5 ({error}): correct the path or copy the file again") from None
-    except SceneError as error:
-        raise SceneError(f"{path}: {error}") from None
-    try:
-        _check(arrays)
     except SceneError as error:
         raise SceneError(f"{path}: {error}") from None
 

@@ -163,3 +163,4 @@ def test_what_names_a_released_checkpoint(tmp_path):
     assert is_released("microsoft/renderformer-v1-base")
     assert not is_released("data/runs/quickstart/latest/checkpoints/best.ckpt")
     assert not is_released("best.ckpt")
+    assert not is_released("runs/best.ckpt")
