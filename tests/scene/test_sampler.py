@@ -8,7 +8,13 @@ from rfpp.scene.sampler import TriangleBudget, shared_out
 from rfpp.scene.triangles import SceneTriangles
 
 QUICKSTART = family("quickstart")
-BUDGETS = {"quickstart": (60, 400, 1600), "small_scale": (12, 3000, 10000), "large_scale": (4, 10000, 80000)}
+#: Family → scenes to draw, and its intervals of triangles, of objects and of triangles of an object.
+BUDGETS = {
+    "quickstart": (60, (400, 1600), (3, 8), (50, 300)),
+    "renderformer": (20, (500, 4096), (1, 3), (200, 1188)),
+    "small_scale": (12, (3000, 10000), (5, 70), (200, 1200)),
+    "large_scale": (4, (10000, 80000), (5, 70), (200, 1200)),
+}
 
 
 def draw(source, scene_seed, camera_seed):
@@ -26,9 +32,7 @@ def same(a, b):
 
 @pytest.mark.parametrize("name", BUDGETS)
 def test_the_triangle_budget_is_kept(name):
-    count, low, high = BUDGETS[name]
-    smallest, largest = (50, 300) if name == "quickstart" else (200, 1200)
-    fewest, most = (3, 8) if name == "quickstart" else (5, 70)
+    count, (low, high), (fewest, most), (smallest, largest) = BUDGETS[name]
     for scene in scenes(name, count):
         assert low <= sum(len(item.mesh) for item in scene.objects) <= high
         assert len(SceneTriangles.from_scene(scene)) <= high
