@@ -30,10 +30,8 @@ class Bucket:
 
     @property
     def label(self) -> str:
-        """The range in words, e.g. "1000–2999 triangles"."""
-        if self.stop is None:
-            return f"≥ {self.start} {self.counted}"
-        return f"{self.start}–{self.stop - 1} {self.counted}"
+        """The range, e.g. "1000–2999"."""
+        return f"≥ {self.start}" if self.stop is None else f"{self.start}–{self.stop - 1}"
 
 
 def bucketed(records: Sequence[SceneRecord], edges: Mapping[str, Sequence[int]], bootstrap: Bootstrap) -> list[Bucket]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 
+from rich import box
 from rich.console import Group
 from rich.table import Table
 from rich.text import Text
@@ -47,6 +48,7 @@ def _split_table(split: str, rows: Mapping[str, Estimates], names: Sequence[str]
 def _bucket_table(split: str, buckets: Sequence[Bucket], names: Sequence[str]) -> Table:
     table = _table(f"{split}, the model by the size of the scene", names, "scenes")
     for counted in dict.fromkeys(bucket.counted for bucket in buckets):
+        table.add_row(Text(counted, style="bold"))
         for bucket in (b for b in buckets if b.counted == counted):
             values = bucket.estimates
             scenes = str(next(iter(values.values())).scenes)
@@ -56,7 +58,8 @@ def _bucket_table(split: str, buckets: Sequence[Bucket], names: Sequence[str]) -
 
 
 def _table(title: str, names: Sequence[str], *before: str) -> Table:
-    table = Table(title=title, title_justify="left", title_style="bold")
+    # without lines between the columns six metrics fit into 80 characters, where lines would cut numbers off
+    table = Table(title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
     table.add_column("", no_wrap=True)
     for heading in (*before, *(METRICS[name].heading for name in names)):
         table.add_column(heading, justify="right", no_wrap=True)

@@ -56,8 +56,8 @@ METRICS = MappingProxyType(
         "lpips": Metric("LPIPS", False, f"VGG16 v0.1 on {TONE_MAP} scaled to [-1, 1]", 4),
         "ssim": Metric("SSIM", True, f"11x11 Gaussian, sigma 1.5, range 1, mirrored border, on {TONE_MAP}", 4),
         "psnr": Metric("PSNR", True, f"dB, peak 1, on {TONE_MAP}", 2),
-        "l1_direct": Metric("L1 dir.", False, "mean |x - y| d, d: share of direct light in y; linear HDR", 4),
-        "l1_indirect": Metric("L1 ind.", False, "mean |x - y| (1 - d), linear HDR", 4),
+        "l1_direct": Metric("direct", False, "L1 of direct light: mean |x - y| d, d: its share in y, linear HDR", 4),
+        "l1_indirect": Metric("indir.", False, "L1 of indirect light: mean |x - y| (1 - d), linear HDR", 4),
     }
 )
 
