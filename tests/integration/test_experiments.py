@@ -116,3 +116,26 @@ def test_training_twice_gives_the_same_losses(composed, data, tmp_path):
     first = losses("one")
     assert len(first) == 6
     assert first == losses("two")
+
+
+def test_a_run_of_the_ablation_ends_with_a_checkpoint_a_panel_and_its_parent(composed, data, tmp_path):
+    from mlflow.tracking import MlflowClient
+
+    from launch.train import main
+    from rfpp.inference.checkpoint import load_network
+
+    children = []
+    for seed in (0, 1):
+        cfg = composed(
+            "train", "+experiment=[ablation,renderformer]", "+debug=cpu", f"seed={seed}", f"data.root={data}",
+            "data.resolution=8", "steps=2", "trainer.val_check_interval=2", "loss.lpips_weight=0.0",
+            f"run_dir={tmp_path}/{seed}", f"logger.folder={tmp_path}",
+        )  # fmt: skip
+        _, info = load_network(main.__wrapped__(cfg))
+        assert (info.method, info.seed, info.steps) == ("RenderFormer", seed, 2)
+        assert (tmp_path / str(seed) / "panels" / "step-000002.png").is_file()
+        children.append(info.mlflow_run_id)
+    client = MlflowClient(f"sqlite:///{tmp_path}/mlflow.db")
+    parents = {client.get_run(child).data.tags["mlflow.parentRunId"] for child in children}
+    assert len(parents) == 1
+    assert client.get_run(parents.pop()).info.run_name == "ablation"
