@@ -55,7 +55,8 @@ class ImagePanels(L.Callback):
             "prediction": [tone_mapped(p) for p in predictions],
             "error": [error_map(p, r) for p, r in zip(predictions, references, strict=True)],
         }
-        columns |= {"albedo": [(np.clip(a, 0, 1) * 255).astype(np.uint8) for a in of_all] for of_all in albedos}
+        if albedos:
+            columns["albedo"] = [(np.clip(a, 0, 1) * 255).astype(np.uint8) for a in albedos[0]]
         path = save_png(panel(columns), self.folder / f"step-{trainer.global_step:06d}.png")
         for logger in trainer.loggers:
             if isinstance(logger, MLFlowLogger):
