@@ -19,6 +19,7 @@ from safetensors.torch import load_file
 from torch import Tensor
 
 from rfpp.errors import CheckpointError, MissingDependencyError
+from rfpp.model.encoding import RelativeSpatialEncoding
 from rfpp.scene.texture import FLAT_NORMAL, MATERIAL_CHANNELS, NORMAL_CHANNELS, TEXTURE_CHANNELS, covered_cells
 
 CONFIG_FILE, WEIGHTS_FILE = "config.json", "model.safetensors"
@@ -72,6 +73,7 @@ def read_released(checkpoint: Path | str) -> tuple[dict[str, Any], dict[str, Ten
         raise CheckpointError(f"{folder / WEIGHTS_FILE}: cannot be read ({error}): copy it again") from None
     try:
         weights = dict(_renamed(config, tensors))
+        _check_frequencies(config, tensors, folder / WEIGHTS_FILE)
     except KeyError as error:
         raise CheckpointError(f"{folder / WEIGHTS_FILE}: lacks the tensor {error}: it is not whole") from None
     if tensors:  # what nobody took
@@ -205,13 +207,6 @@ def _renamed(config: dict[str, Any], tensors: dict[str, Tensor]) -> Iterator[tup
         yield from _feed_forward(tensors, ours, theirs)
     yield from _image_head(tensors)
 
-    frequencies = config["vertex_pe_num_freqs"] // 2
-    for transformer in ("transformer", "view_transformer.transformer"):
-        found = take(f"{transformer}.rope_emb.freqs")
-        expected = 2 ** torch.linspace(0, torch.log2(torch.tensor(5.0)).item(), frequencies)
-        if found.shape != expected.shape or not torch.allclose(found, expected, rtol=1e-4):
-            raise CheckpointError(f"{transformer}.rope_emb.freqs: other frequencies than RSPE's, not supported")
-
 
 _EMBEDDING = {
     "embedding.texture_proj.weight": "texture_encoder.weight",
@@ -226,6 +221,17 @@ _RAYS = {
     "decoder.rays.proj.bias": "view_transformer.ray_map_encoder.bias",
     "decoder.rays.norm.weight": "view_transformer.ray_map_encoder_norm.weight",
 }
+
+
+def _check_frequencies(config: dict[str, Any], tensors: dict[str, Tensor], path: Path) -> None:
+    """Take RSPE's frequencies, which are no weights of ours. Raises KeyError, or CheckpointError for other ones."""
+    count = config["vertex_pe_num_freqs"] // 2
+    expected = RelativeSpatialEncoding(18 * count, count).frequencies  # in the narrowest head that holds them
+    for transformer in ("transformer", "view_transformer.transformer"):
+        name = f"{transformer}.rope_emb.freqs"
+        found = tensors.pop(name)
+        if found.shape != expected.shape or not torch.allclose(found, expected, rtol=1e-4):
+            raise CheckpointError(f"{path}: {name} are other frequencies than RSPE's: not supported")
 
 
 def _attention(tensors: dict[str, Tensor], ours: str, theirs: str) -> Iterator[tuple[str, Tensor]]:
