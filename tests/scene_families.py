@@ -22,9 +22,14 @@ def family(name: str, *overrides: str) -> SceneFamily:
 
 @cache
 def scenes(name: str, count: int) -> tuple[Scene, ...]:
-    """Scenes 0 … count - 1 of a family."""
+    """Training scenes 0 … count - 1 of a family."""
     source = family(name)
-    return tuple(source.sample(np.random.default_rng([i, 0]), np.random.default_rng([i, 1])) for i in range(count))
+    return tuple(draw(source, [i, 0], [i, 1]) for i in range(count))
+
+
+def draw(source: SceneFamily, scene_seed, camera_seed, held_out: bool = False) -> Scene:
+    """The scene of these two seeds."""
+    return source.sample(np.random.default_rng(scene_seed), np.random.default_rng(camera_seed), held_out=held_out)
 
 
 def objects(scene: Scene, kind: str) -> list:

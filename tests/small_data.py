@@ -33,7 +33,7 @@ class BoxFamily:
     views: int = 2
     looks_away: float = 0.0  # probability per camera
 
-    def sample(self, scene_rng, camera_rng) -> Scene:
+    def sample(self, scene_rng, camera_rng, *, held_out) -> Scene:
         fixed = Transform(normalize=False)
         place = Transform(normalize=False, translation=tuple(scene_rng.uniform(-0.2, 0.2, 3)))
         colour = Material(diffuse=tuple(scene_rng.uniform(0, 0.8, 3)), specular=(0.1,) * 3, roughness=0.5)

@@ -102,10 +102,11 @@ class SceneFamily:
     lights: LightSampler
     cameras: CameraSampler
 
-    def sample(self, scene_rng: np.random.Generator, camera_rng: np.random.Generator) -> Scene:
+    def sample(self, scene_rng: np.random.Generator, camera_rng: np.random.Generator, *, held_out: bool) -> Scene:
         """A scene: background panels, then objects, then lights, named background_0, object_0, light_0 and so on.
 
-        The same generators give the same scene. Raises SceneError where the family's numbers contradict one another.
+        Objects come from those that are held out for test scenes, or from all others. The same generators give the
+        same scene. Raises SceneError where the family's numbers contradict one another.
         """
         streams = scene_rng.spawn(7)
         background = self.backgrounds.sample(streams[0])

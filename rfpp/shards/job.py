@@ -28,9 +28,9 @@ _ROLES = {"scene": 0, "cameras": 1, "render": 2, "light": 3}
 
 @runtime_checkable
 class SceneSource(Protocol):
-    """Draws scenes: geometry, materials and lights from one rng, cameras from the other."""
+    """Draws scenes: geometry, materials and lights from one rng, cameras from the other; test scenes are held out."""
 
-    def sample(self, scene_rng: np.random.Generator, camera_rng: np.random.Generator) -> Scene: ...
+    def sample(self, scene_rng: np.random.Generator, camera_rng: np.random.Generator, *, held_out: bool) -> Scene: ...
 
 
 @dataclass(frozen=True)
@@ -188,6 +188,7 @@ class SceneJob:
         scene = self.family.sample(
             np.random.default_rng(self._seed(task.scene_split, task.index, "scene", attempt)),
             np.random.default_rng(self._seed(task.split, task.index, "cameras", attempt, camera_attempt)),
+            held_out=task.scene_split == "test",
         )
         if len(scene.cameras) != self.data.views:
             raise UserError(f"the scene family draws {len(scene.cameras)} cameras, data.views is {self.data.views}")

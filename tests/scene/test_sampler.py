@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from scene_families import family, objects, scenes
+from scene_families import draw, family, objects, scenes
 from scipy.stats import kstest, spearmanr
 
 from rfpp.errors import SceneError
@@ -15,10 +15,6 @@ BUDGETS = {
     "small_scale": (12, (3000, 10000), (5, 70), (200, 1200)),
     "large_scale": (4, (10000, 80000), (5, 70), (200, 1200)),
 }
-
-
-def draw(source, scene_seed, camera_seed):
-    return source.sample(np.random.default_rng(scene_seed), np.random.default_rng(camera_seed))
 
 
 def same(a, b):
