@@ -8,12 +8,18 @@ from pathlib import Path
 import pytest
 
 from rfpp.errors import SceneError, UserError
-from rfpp.reference.farm import RenderFarm, WorkerDeathError
+from rfpp.reference.farm import RenderFarm
+from rfpp.reference.worker import WorkerDeathError, WorkerHangError
 
 
 def slow_square(x: int) -> int:
     time.sleep(0.05 if x % 3 == 0 else 0)
     return x * x
+
+
+def wait_for(path: str) -> None:
+    while path.startswith("/") and not Path(path).exists():
+        time.sleep(0.01)
 
 
 def affinity(_: int) -> set[int]:
@@ -38,6 +44,26 @@ def die_once(flag: str) -> str:
     return "done"
 
 
+def hang_once(flag: str) -> str:
+    if not Path(flag).exists():
+        Path(flag).touch()
+        time.sleep(600)
+    return "done"
+
+
+def always_hang(_: int) -> None:
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)  # as code in the middle of a C library
+    time.sleep(600)
+
+
+HOARD = []
+
+
+def hoard(_: int) -> int:
+    HOARD.append(bytearray(os.urandom(1)) * 30_000_000)
+    return os.getpid()
+
+
 def always_die(_: int) -> None:
     os.kill(os.getpid(), signal.SIGKILL)
 
@@ -57,9 +83,18 @@ def raise_unpicklable(_: int) -> None:
     raise UnpicklableError("this", "that")
 
 
-def test_results_come_in_the_order_of_the_items():
+def test_every_item_has_its_result():
     with RenderFarm(2) as farm:
-        assert list(farm.map(slow_square, range(20))) == [(x, x * x) for x in range(20)]
+        assert sorted(farm.map(slow_square, range(20))) == [(x, x * x) for x in range(20)]
+
+
+def test_a_slow_item_holds_up_nobody(tmp_path):
+    flag = tmp_path / "flag"
+    with RenderFarm(2) as farm:
+        results = farm.map(wait_for, [str(flag), *"abcde"])
+        order = [next(results)[0] for _ in range(5)]
+        flag.touch()
+        assert [*order, next(results)[0]] == [*"abcde", str(flag)]
 
 
 def test_items_are_read_lazily_and_workers_serve_several_maps():
@@ -107,6 +142,26 @@ def test_an_item_that_always_kills_its_worker_is_an_error_with_the_signal():
         [(_, result)] = farm.map(always_die, [0])
     assert isinstance(result, WorkerDeathError)
     assert "-9" in str(result)
+
+
+def test_a_hanging_worker_is_replaced_and_its_item_tried_again(tmp_path):
+    with RenderFarm(2, max_job_seconds=4) as farm:
+        results = [r for _, r in farm.map(hang_once, [str(tmp_path / name) for name in "abc"])]
+    assert results == ["done"] * 3
+
+
+def test_an_item_that_always_hangs_is_an_error_and_the_others_go_on():
+    with RenderFarm(1, max_job_seconds=4) as farm:
+        [(_, result)] = farm.map(always_hang, [0])
+        assert isinstance(result, WorkerHangError)
+        assert "after 4 s" in str(result)
+        assert [r for _, r in farm.map(slow_square, [1, 2])] == [1, 4]
+
+
+def test_a_worker_that_grows_is_replaced():
+    with RenderFarm(1, max_growth_mb=50) as farm:
+        ids = [pid for _, pid in farm.map(hoard, range(6))]
+    assert [ids.count(pid) for pid in dict.fromkeys(ids)] == [3, 3]
 
 
 def test_a_user_error_is_final_and_keeps_its_type(tmp_path):

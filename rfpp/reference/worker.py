@@ -1,0 +1,170 @@
+"""One worker process of a farm: pinned, fed through a pipe, given up when it dies, hangs or has grown old."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import pickle
+import signal
+import sys
+import time
+import traceback
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from multiprocessing.connection import Connection
+from typing import Any
+
+import psutil
+
+
+class WorkerDeathError(RuntimeError):
+    """A worker process ended in the middle of a job (crash, or killed for want of memory)."""
+
+
+class WorkerHangError(RuntimeError):
+    """A job took longer than it may, and its worker was killed."""
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What a worker may use: jobs, megabytes more than after its first job, seconds per job."""
+
+    jobs: int
+    growth_mb: float | int
+    seconds: float | int
+
+
+@dataclass(frozen=True)
+class Task:
+    """An item for the so many-th time."""
+
+    item: Any
+    attempt: int = 1
+
+
+@dataclass
+class Slot:
+    """A place for one worker process on fixed cores."""
+
+    cores: frozenset[int]
+    task: Task | None = None
+    began: float = 0.0
+    jobs_done: int = 0
+    first_memory: int = 0
+    process: Any = field(default=None, repr=False)
+    connection: Connection | None = field(default=None, repr=False)
+
+    def begin(self, job: Callable, task: Task) -> None:
+        if self.process is None:
+            self._start()
+        self.task, self.began = task, time.monotonic()
+        message = pickle.dumps((job, task.item))
+        try:
+            self.connection.send_bytes(message)
+        except OSError:  # the idle worker was killed: `finish` will find it dead and the item is tried again
+            self.connection.close()
+
+    def finish(self, limits: Limits) -> tuple[Task, Any]:
+        """The task in work and its result; replaces the worker when it died, hangs or has done its share."""
+        if self.connection.closed or self.connection.poll():
+            result = self._received()
+        else:
+            self.process.kill()
+            result = WorkerHangError(f"not finished after {limits.seconds:g} s: its worker was killed")
+        task, self.task = self.task, None
+        if isinstance(result, WorkerDeathError | WorkerHangError) or self._has_done_its_share(limits):
+            self.stop()
+        return task, result
+
+    def _received(self) -> Any:
+        try:
+            return pickle.loads(self.connection.recv_bytes())
+        except (EOFError, OSError):
+            self.process.join(timeout=5)
+            return WorkerDeathError(
+                f"the worker process ended with exit code {self.process.exitcode} "
+                "(negative: killed by that signal, -9 often means out of memory)"
+            )
+
+    def _has_done_its_share(self, limits: Limits) -> bool:
+        self.jobs_done += 1
+        try:
+            memory = psutil.Process(self.process.pid).memory_info().rss
+        except psutil.NoSuchProcess:  # it died after its answer; the next job would find out
+            return True
+        self.first_memory = self.first_memory or memory
+        return self.jobs_done >= limits.jobs or memory - self.first_memory > limits.growth_mb * 1e6
+
+    def dismiss(self) -> None:
+        """Tell the worker to end; an idle one leaves by itself when it finds the connection closed."""
+        if self.process is not None:
+            self.connection.close()
+            if self.task is not None:
+                self.process.terminate()
+
+    def stop(self) -> None:
+        """End the worker and wait for it."""
+        if self.process is None:
+            return
+        self.dismiss()
+        self.process.join(timeout=5)
+        if self.process.is_alive():
+            self.process.kill()
+            self.process.join()
+        self.process, self.connection, self.task, self.jobs_done, self.first_memory = None, None, None, 0, 0
+
+    def _start(self) -> None:
+        context = multiprocessing.get_context("spawn")
+        self.connection, theirs = context.Pipe()
+        self.process = context.Process(target=_serve, args=(theirs,), daemon=True)
+        with _running_on(self.cores):
+            self.process.start()
+        theirs.close()
+
+
+def _serve(connection: Connection) -> None:
+    """A worker's life: take (job, item), answer with the result, until the other end closes."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group; only the parent decides
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # unwinds, so that temporary files are removed
+    while True:
+        try:
+            message = connection.recv_bytes()
+        except (EOFError, OSError):
+            return
+        try:
+            job, item = pickle.loads(message)
+            answer = pickle.dumps(job(item))
+        except Exception as error:
+            answer = _pickled_error(error)
+        try:
+            connection.send_bytes(answer)
+        except OSError:
+            return
+
+
+def _pickled_error(error: Exception) -> bytes:
+    trace = traceback.format_exc()
+    error.add_note(trace)
+    try:
+        answer = pickle.dumps(error)
+        pickle.loads(answer)
+        return answer
+    except Exception:  # an exception whose constructor pickle cannot repeat
+        plain = RuntimeError(f"{type(error).__name__}: {error}")
+        plain.add_note(trace)
+        return pickle.dumps(plain)
+
+
+@contextmanager
+def _running_on(cores: frozenset[int]) -> Iterator[None]:
+    """Within this block new processes inherit `cores`; systems without CPU pinning ignore it."""
+    if not hasattr(os, "sched_setaffinity"):
+        yield
+        return
+    before = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, cores)
+    try:
+        yield
+    finally:
+        os.sched_setaffinity(0, before)
