@@ -82,7 +82,8 @@ def _summary(manifest: Manifest, made: int, seconds: float) -> str:
     return (
         f"Made {made} scenes in {seconds:.0f} s. In all: {counts['scenes']} scenes, {counts['images']} images, "
         f"{counts['triangles']} triangles, {counts['bytes'] / 1e6:.0f} MB; redrawn: {counts['scene_redraws']} scenes, "
-        f"{counts['camera_redraws']} cameras.\nManifest {manifest.hash[:12]}: {manifest.root}/manifest.json"
+        f"{counts['empty_views']} views of too little surface, {counts['unlit_views']} of too little light.\n"
+        f"Manifest {manifest.hash[:12]}: {manifest.root}/manifest.json"
     )
 
 

@@ -19,8 +19,9 @@ import numpy as np
 from rfpp.errors import MissingDependencyError, ShardError
 from rfpp.reference import cycles
 from rfpp.reference.farm import RenderFarm
+from rfpp.shards.index import REMEDY, SampleEntry, ShardIndex, load_index
 from rfpp.shards.job import SPLIT_CODES, DatasetSettings, SceneJob, SceneSource, SceneTask
-from rfpp.shards.manifest import MANIFEST_FILE, REMEDY, Manifest, SampleEntry, Shard, load_index, manifest_json
+from rfpp.shards.manifest import MANIFEST_FILE, Manifest, manifest_json
 from rfpp.shards.sample import SCHEMA_VERSION
 from rfpp.shards.writer import ShardWriter, write_json
 
@@ -80,7 +81,7 @@ class _PlannedShard:
 
     file: str
     tasks: list[SceneTask]
-    present: Shard | None
+    present: ShardIndex | None
 
     @property
     def entries(self) -> dict[str, SampleEntry]:
@@ -181,7 +182,7 @@ def _copy(root: Path, shard: _PlannedShard, key: str, writer: ShardWriter) -> No
         blocks = os.pread(file.fileno(), entry.size, entry.offset)
     if hashlib.sha256(blocks).hexdigest() != entry.sha256:
         raise shard.present.damaged(root, key, "does not have the recorded sha256")
-    kept = ("triangles", "objects", "scene_redraws", "camera_redraws")
+    kept = ("triangles", "objects", "scene_redraws", "empty_views", "unlit_views")
     writer.add(key, blocks, **{name: getattr(entry, name) for name in kept})
 
 

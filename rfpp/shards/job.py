@@ -108,13 +108,14 @@ class SceneTask:
 
 @dataclass(frozen=True)
 class MadeScene:
-    """A finished sample as tar blocks, with what the index records of it."""
+    """A finished sample as tar blocks, with what the index records of it (`rfpp.shards.index.SampleEntry`)."""
 
     blocks: bytes
     triangles: int
     objects: int
     scene_redraws: int
-    camera_redraws: int
+    empty_views: int
+    unlit_views: int
 
 
 @dataclass(frozen=True)
@@ -141,10 +142,10 @@ class SceneJob:
         A pinned scene was accepted before: what its new cameras see counts, its brightness does not.
         """
         pinned = task.scene_attempt is not None
-        camera_redraws = 0
+        empty_views = 0
         for attempt in [task.scene_attempt] if pinned else range(self.data.scene_attempts):
             scene, gbuffers, rejected = self._draw(task, attempt)
-            camera_redraws += rejected
+            empty_views += rejected
             if len(gbuffers) < self.data.views:
                 continue
             triangles = SceneTriangles.from_scene(scene)
@@ -152,7 +153,7 @@ class SceneJob:
             fov = np.array([camera.fov for camera in scene.cameras], np.float32)
             images = self._render(task, attempt, triangles, c2w, fov)
             if pinned or not images.mean() < self.data.min_radiance:  # NaN goes on, to be reported by `encode`
-                redraws = {"scene": attempt, "cameras": camera_redraws}
+                redraws = {"scene_redraws": attempt, "empty_views": empty_views, "unlit_views": 0}
                 lit = self._with_light(task, attempt, triangles, gbuffers, c2w, fov)
                 sample = SceneSample(task.key, triangles, c2w, fov, images, lit, self._meta(task, scene, redraws))
                 return _packed(sample, redraws)
@@ -241,6 +242,5 @@ def _packed(sample: SceneSample, redraws: Mapping[str, int]) -> MadeScene:
         blocks=pack(sample.key, encode(sample)),
         triangles=len(sample.triangles),
         objects=sample.triangles.num_objects,
-        scene_redraws=redraws["scene"],
-        camera_redraws=redraws["cameras"],
+        **redraws,
     )

@@ -21,7 +21,7 @@ from rfpp.gbuffer.first_hit import DirectLight, GBuffer
 from rfpp.scene.triangles import SceneTriangles
 
 #: Raised whenever a member, a dtype or a meaning changes; data of another version is refused, never guessed at.
-SCHEMA_VERSION = 2
+SCHEMA_VERSION = 3
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,7 +15,8 @@ import numpy as np
 from torch.utils.data import Dataset, Sampler
 
 from rfpp.errors import ShardError
-from rfpp.shards.manifest import Manifest, SampleEntry, Shard
+from rfpp.shards.index import ShardIndex
+from rfpp.shards.manifest import ListedShard, Manifest
 from rfpp.shards.sample import SceneSample, decode
 from rfpp.shards.tar import unpack
 
@@ -42,8 +43,8 @@ class ShardSplit(Dataset):
         self.split = split
         self._root = Path(root)
         self._shards = self.manifest.shards(split)
-        self._ends = list(accumulate(len(shard.samples) for shard in self._shards))
-        self._open: OrderedDict[str, int] = OrderedDict()
+        self._ends = list(accumulate(shard.samples for shard in self._shards))
+        self._open: OrderedDict[str, tuple[ShardIndex, int]] = OrderedDict()
         for shard in self._shards:
             shard.require_intact_file(self._root)
 
@@ -51,8 +52,10 @@ class ShardSplit(Dataset):
         return self._ends[-1] if self._ends else 0
 
     def __getitem__(self, index: int) -> SceneSample:
-        shard, entry = self._locate(index)
-        blocks = os.pread(self._descriptor(shard), entry.size, entry.offset)
+        shard, position = self._locate(index)
+        opened, descriptor = self._opened(shard)
+        entry = opened.samples[position]
+        blocks = os.pread(descriptor, entry.size, entry.offset)
         if hashlib.sha256(blocks).hexdigest() != entry.sha256:
             raise shard.damaged(self._root, entry.key, "does not have the recorded sha256")
         try:
@@ -65,12 +68,13 @@ class ShardSplit(Dataset):
 
     def key(self, index: int) -> str:
         """The key of a sample, without reading it."""
-        return self._locate(index)[1].key
+        shard, position = self._locate(index)
+        return self._opened(shard)[0].samples[position].key
 
     def close(self) -> None:
         """Close all files; they are opened again when needed."""
         while self._open:
-            os.close(self._open.popitem()[1])
+            os.close(self._open.popitem()[1][1])
 
     def __getstate__(self) -> dict:
         return {**self.__dict__, "_open": OrderedDict()}
@@ -79,22 +83,24 @@ class ShardSplit(Dataset):
         if hasattr(self, "_open"):
             self.close()
 
-    def _locate(self, index: int) -> tuple[Shard, SampleEntry]:
+    def _locate(self, index: int) -> tuple[ListedShard, int]:
+        """The shard of a sample, and its number in it."""
         if not 0 <= index < len(self):
             raise IndexError(f"sample {index} of {len(self)} in split '{self.split}'")
         number = bisect.bisect_right(self._ends, index)
         first = self._ends[number - 1] if number else 0
-        return self._shards[number], self._shards[number].samples[index - first]
+        return self._shards[number], index - first
 
-    def _descriptor(self, shard: Shard) -> int:
+    def _opened(self, shard: ListedShard) -> tuple[ShardIndex, int]:
+        """Its index and a file descriptor of its tar."""
         if shard.file in self._open:
             self._open.move_to_end(shard.file)
             return self._open[shard.file]
         if len(self._open) >= _MAX_OPEN:
-            os.close(self._open.popitem(last=False)[1])
+            os.close(self._open.popitem(last=False)[1][1])
         path = shard.require_intact_file(self._root)
         try:
-            self._open[shard.file] = os.open(path, os.O_RDONLY)
+            self._open[shard.file] = self.manifest.index(shard), os.open(path, os.O_RDONLY)
         except OSError as error:
             raise ShardError(f"{path}: cannot be opened ({error.strerror}): check its permissions") from error
         return self._open[shard.file]

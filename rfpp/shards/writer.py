@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -12,7 +11,7 @@ from typing import Any
 
 from rfpp.errors import UserError
 from rfpp.scene.files import write_atomically
-from rfpp.shards.manifest import SampleEntry, Shard, index_path
+from rfpp.shards.index import SampleEntry, ShardIndex, index_file, to_json
 from rfpp.shards.tar import END_OF_ARCHIVE
 
 
@@ -45,29 +44,27 @@ class ShardWriter:
         """Of the samples added so far."""
         return {entry.key for entry in self._samples}
 
-    def add(
-        self, key: str, blocks: bytes, *, triangles: int, objects: int, scene_redraws: int, camera_redraws: int
-    ) -> None:
-        """Append one packed sample (`rfpp.shards.tar.pack`)."""
+    def add(self, key: str, blocks: bytes, **counts: int) -> None:
+        """Append one packed sample (`rfpp.shards.tar.pack`), with the counts that `SampleEntry` records of it."""
         digest = hashlib.sha256(blocks).hexdigest()
-        entry = SampleEntry(key, self._size, len(blocks), digest, triangles, objects, scene_redraws, camera_redraws)
+        entry = SampleEntry(key=key, offset=self._size, size=len(blocks), sha256=digest, **counts)
         self._append(blocks)
         self._samples.append(entry)
 
-    def commit(self) -> Shard:
+    def commit(self) -> ShardIndex:
         """Finish the tar, put it in place, then its index."""
         self.is_open = False
         self._append(END_OF_ARCHIVE)
-        index = index_path(self._root, self._name)
+        path = self._root / index_file(self._name)
         with self._reporting_full_disk():
             self._file.flush()
             os.fsync(self._file.fileno())
             self._file.close()
-            index.unlink(missing_ok=True)  # never an old index beside a new tar
+            path.unlink(missing_ok=True)  # never an old index beside a new tar
             os.replace(self._partial, self._root / self._name)
-        shard = Shard(self._name, self._size, self._digest.hexdigest(), self._fingerprint, tuple(self._samples))
-        write_json(index, shard.to_json())
-        return shard
+        index = ShardIndex(self._name, self._size, self._digest.hexdigest(), self._fingerprint, tuple(self._samples))
+        write_atomically(path, index.to_bytes())
+        return index
 
     def discard(self) -> None:
         """Leave nothing of an unfinished shard behind."""
@@ -97,5 +94,4 @@ class ShardWriter:
 
 def write_json(path: Path, content: Any) -> None:
     """Write compact, sorted JSON atomically: equal content, equal bytes. Raises UserError (full disk)."""
-    text = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
-    write_atomically(path, text.encode() + b"\n")
+    write_atomically(path, to_json(content))

@@ -52,7 +52,7 @@ def _write_split(root: Path, split: str, brightness: list[float]):
     for index, level in enumerate(brightness):
         key = f"{split}-{index:06d}"
         blocks = pack(key, encode(_sample(key, index, level)))
-        writer.add(key, blocks, triangles=100, objects=5, scene_redraws=0, camera_redraws=0)
+        writer.add(key, blocks, triangles=100, objects=5, scene_redraws=0, empty_views=0, unlit_views=0)
     return writer.commit()
 
 

@@ -18,7 +18,7 @@ from rfpp.shards.tar import pack, unpack
 
 @pytest.fixture
 def sample() -> SceneSample:
-    scene = BoxFamily().sample(np.random.default_rng(1), np.random.default_rng(2))
+    scene = BoxFamily().sample(np.random.default_rng(1), np.random.default_rng(2), held_out=False)
     triangles = SceneTriangles.from_scene(scene)
     c2w = np.stack([camera_to_world(camera) for camera in scene.cameras])
     fov = np.array([camera.fov for camera in scene.cameras], np.float32)

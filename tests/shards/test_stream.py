@@ -105,13 +105,20 @@ def test_a_missing_shard_is_refused_at_once(copied):
         ShardSplit(copied, "test")
 
 
-def test_a_manifest_of_other_data_is_noticed(copied):
-    path = copied / "manifest.json"
-    content = json.loads(path.read_text())
-    content["splits"]["train"][0]["samples"][0][3] = "0" * 64
-    path.write_text(json.dumps(content))
-    with pytest.raises(ShardError, match=r"train-000000 does not have the recorded sha256"):
-        ShardSplit(copied, "train")[0]
+def test_an_index_of_other_data_is_noticed(copied):
+    path = copied / "train-00000.json"
+    path.write_text(path.read_text().replace("train-000001", "train-000007"))
+    split = ShardSplit(copied, "train")  # indices are read when their shard is
+    assert split[2].key == "train-000002"
+    with pytest.raises(ShardError, match=r"train-00000\.json: the index does not have the sha256 in the manifest"):
+        split[0]
+
+
+def test_a_missing_index_is_named(copied):
+    (copied / "train-00001.json").unlink()
+    split = ShardSplit(copied, "train")
+    with pytest.raises(ShardError, match=r"train-00001\.json: the index cannot be read \(No such file.*delete train"):
+        split[3]
 
 
 @pytest.mark.parametrize("text", [f'{{"schema_version": {SCHEMA_VERSION}}}', "[]", "not json", '{"name": 3}'])
