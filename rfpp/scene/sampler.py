@@ -12,9 +12,9 @@ from rfpp.scene.backgrounds import Background, BackgroundSampler
 from rfpp.scene.interval import Interval, freeze_intervals, uniform_integer
 from rfpp.scene.lights import LightSampler
 from rfpp.scene.materials import MaterialSampler
+from rfpp.scene.objects.source import ObjectSource
 from rfpp.scene.placement import Placement
-from rfpp.scene.shapes import ProceduralShapes
-from rfpp.scene.spec import Scene, SceneObject
+from rfpp.scene.spec import Camera, Scene, SceneObject
 from rfpp.scene.viewpoints import CameraSampler
 
 
@@ -84,7 +84,7 @@ class SceneFamily:
 
     Attributes:
         name: of the family; scenes are called after it.
-        shapes: source of object meshes.
+        objects: source of object meshes.
         budget: number of objects and of triangles.
         placement: where the objects stand.
         materials: of the objects.
@@ -93,7 +93,7 @@ class SceneFamily:
     """
 
     name: str
-    shapes: ProceduralShapes
+    objects: ObjectSource
     budget: TriangleBudget
     placement: Placement
     materials: MaterialSampler
@@ -112,7 +112,7 @@ class SceneFamily:
         background = self.backgrounds.sample(streams[0])
         lights = self.lights.sample(streams[1], background.open_side)
         targets = self.budget.sample(streams[2], taken=background.triangle_count + len(lights))
-        meshes = [self.shapes.sample(streams[3], int(target)) for target in targets]
+        meshes = [self.objects.sample(streams[3], int(target), held_out) for target in targets]
         transforms = self.placement.sample(streams[4], meshes, background.open_side)
         objects = [
             SceneObject(name=f"object_{i}", mesh=mesh, material=self.materials.sample(streams[5]), transform=transform)
@@ -123,6 +123,11 @@ class SceneFamily:
             objects=(*self._panels(streams[6], background), *objects, *lights),
             cameras=self.cameras.sample(camera_rng, background.open_side),
         )
+
+    def sample_cameras(self, scene_rng: np.random.Generator, camera_rng: np.random.Generator) -> tuple[Camera, ...]:
+        """The cameras alone of `sample` with the same generators, at no more cost than theirs."""
+        background = self.backgrounds.sample(scene_rng.spawn(7)[0])
+        return self.cameras.sample(camera_rng, background.open_side)
 
     def _panels(self, rng: np.random.Generator, background: Background) -> list[SceneObject]:
         return [

@@ -1,0 +1,53 @@
+"""What the kinds of procedural solids are built with."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+from manifold3d import Manifold
+
+from rfpp.scene.mesh import Mesh, decimated
+from rfpp.scene.refinement import is_closed, refined
+
+Rng = np.random.Generator
+#: A generator of one kind draws a closed solid with very roughly the given number of faces.
+Solid = Callable[[Rng, int], Mesh]
+
+
+def from_manifold(solid: Manifold) -> Mesh:
+    """Manifold's triangles."""
+    mesh = solid.to_mesh()
+    return Mesh(np.asarray(mesh.vert_properties)[:, :3], np.asarray(mesh.tri_verts))
+
+
+def unit_sphere(faces: int) -> Manifold:
+    """A unit sphere from a refined octahedron, with 1 to 1.5 times as many faces as asked for."""
+    return Manifold.sphere(1.0, 4 * math.ceil(math.sqrt(1.2 * faces / 8)))
+
+
+def with_face_count(mesh: Mesh, target_faces: int) -> Mesh:
+    """The mesh with `target_faces` faces or hardly fewer: decimated from above, refined from below."""
+    return refined(decimated(mesh, target_faces), target_faces)
+
+
+def volume(mesh: Mesh) -> float:
+    """The volume a closed mesh encloses, negative if it faces inwards."""
+    corners = mesh.corners.astype(np.float64)
+    return float(np.einsum("fi,fi->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6)
+
+
+def is_solid(mesh: Mesh, least_fill: float) -> bool:
+    """Closed, facing outwards, and no thin sheet: it fills more than the given share of its bounding box."""
+    return is_closed(mesh) and volume(mesh) > least_fill * float(np.prod(np.ptp(mesh.vertices, axis=0)))
+
+
+def grid_faces(index: np.ndarray) -> np.ndarray:
+    """[2 · (R - 1) · C, 3] triangles between neighbours of a [R, C] grid of vertex numbers that is closed along C.
+
+    They face outwards where rows follow an axis and columns run counter-clockwise about it.
+    """
+    here, above = index[:-1], index[1:]
+    quads = np.stack([here, np.roll(here, -1, axis=1), np.roll(above, -1, axis=1), above], axis=-1).reshape(-1, 4)
+    return quads[:, [[0, 1, 2], [0, 2, 3]]].reshape(-1, 3)
