@@ -3,7 +3,7 @@ import pytest
 from PIL import Image
 
 from rfpp.errors import UserError
-from rfpp.panels import error_map, panel, save_png, tone_mapped
+from rfpp.panels import contact_sheet, distinct_colours, error_map, false_colours, panel, save_png, tone_mapped
 
 
 def test_tone_mapping_shows_mid_grey_and_clips_to_white() -> None:
@@ -20,15 +20,52 @@ def test_no_error_is_black_and_large_or_undefined_errors_are_brightest() -> None
     assert brightness[0] < 10 < brightness[1] < brightness[2] == brightness[3]
 
 
+def noise(count: int, size: int) -> list[np.ndarray]:
+    return list(np.random.default_rng(size).integers(0, 256, (count, size, size, 3), dtype=np.uint8))
+
+
+def corner_of(picture: np.ndarray, sheet: np.ndarray, factor: int) -> tuple[int, int]:
+    """Where the picture, enlarged, begins on the sheet."""
+    enlarged = picture[:, :, 0].repeat(factor, axis=0).repeat(factor, axis=1)
+    windows = np.lib.stride_tricks.sliding_window_view(sheet[:, :, 0], enlarged.shape)
+    likely = np.argwhere((windows[..., 0, 0] == enlarged[0, 0]) & (windows[..., 50, 50] == enlarged[50, 50]))
+    return next((y, x) for y, x in likely.tolist() if np.array_equal(windows[y, x], enlarged))
+
+
 def test_a_sheet_holds_every_picture_enlarged_but_unchanged() -> None:
-    rng = np.random.default_rng(0)
-    pictures = [[rng.integers(0, 256, (64, 64, 3), dtype=np.uint8) for _ in range(2)] for _ in range(3)]
-    sheet = panel(dict(zip("abc", pictures, strict=True)), captions=["first", "second"])
-    windows = np.lib.stride_tricks.sliding_window_view(sheet[:, :, 0], (192, 192))
-    for picture in (p for column in pictures for p in column):
-        enlarged = picture[:, :, 0].repeat(3, axis=0).repeat(3, axis=1)
-        corner = np.argwhere((windows[..., 0, 0] == enlarged[0, 0]) & (windows[..., 50, 50] == enlarged[50, 50]))
-        assert any(np.array_equal(windows[y, x], enlarged) for y, x in corner)
+    pictures = noise(6, 64)
+    columns = {"a": pictures[:2], "b": pictures[2:4], "c": pictures[4:]}
+    sheet = panel(columns, captions=["first", "second"])
+    assert all(corner_of(picture, sheet, 3) for picture in pictures)
+    titled = panel(columns, captions=["first", "second"], title="what it is")
+    assert len(titled) > len(sheet)
+    assert corner_of(pictures[0], titled, 3)[0] > corner_of(pictures[0], sheet, 3)[0]
+
+
+def test_pictures_of_several_resolutions_are_shown_at_the_largest() -> None:
+    small, large = noise(1, 64), noise(1, 256)
+    sheet = panel({"small": small, "large": large})
+    assert corner_of(small[0], sheet, 4)[0] == corner_of(large[0], sheet, 1)[0]
+
+
+def test_a_contact_sheet_is_about_square_and_in_order() -> None:
+    pictures = noise(7, 160)
+    sheet = contact_sheet(pictures, [f"picture {i}" for i in range(7)])
+    corners = [corner_of(picture, sheet, 1) for picture in pictures]
+    assert corners == sorted(corners)
+    assert [len({corner[axis] for corner in corners}) for axis in (0, 1)] == [3, 3]
+
+
+def test_false_colours_run_from_dark_to_bright() -> None:
+    brightness = false_colours(np.linspace(0, 1, 50, dtype=np.float32)[None])[0].astype(int).sum(axis=-1)
+    assert (np.diff(brightness) > 0).all()
+
+
+def test_a_hundred_objects_have_a_hundred_colours_and_nothing_is_black() -> None:
+    colours = distinct_colours(np.arange(-1, 100)[None])[0].astype(int)
+    assert colours[0].tolist() == [0, 0, 0]
+    assert len(np.unique(colours[1:], axis=0)) == 100
+    assert np.abs(np.diff(colours[1:], axis=0)).max(axis=1).min() > 50
 
 
 def test_columns_of_different_length_are_refused() -> None:

@@ -1,4 +1,6 @@
-"""RenderFormer's H5 scenes: what is read, what is recovered, what is refused."""
+"""RenderFormer's H5 scenes: what is read, what is recovered, what is written, what is refused."""
+
+from dataclasses import replace
 
 import h5py
 import numpy as np
@@ -7,6 +9,9 @@ from known_scenes import look_at, still_life
 
 from rfpp import Scene
 from rfpp.errors import SceneError
+from rfpp.scene import h5
+from rfpp.scene.camera import pixel_rays
+from rfpp.scene.h5 import image_shape, load_images, save_h5
 from rfpp.scene.packed import PackedScene
 from rfpp.scene.texture import FLAT_NORMAL, covered_cells, is_constant, mean_material
 
@@ -112,3 +117,104 @@ def test_a_file_that_is_no_hdf5_or_cut_off(tmp_path):
         Scene.load(path)
     with pytest.raises(SceneError, match="cannot be read as HDF5"):
         Scene.load(tmp_path / "none.h5")
+
+
+def test_a_written_scene_is_read_back(tmp_path):
+    scene = PackedScene("room", SCENE, look_at((0.3, -1.5, 0.9))[None], np.array([40.0], np.float32))
+    again = Scene.load(save_h5(scene, tmp_path / "new" / "room.h5"))
+    for name in ("positions", "normals", "object_offsets"):
+        np.testing.assert_array_equal(getattr(again.triangles, name), getattr(SCENE, name))
+    np.testing.assert_array_equal(again.triangles.material, SCENE.material.astype(np.float16))
+    np.testing.assert_array_equal(again.c2w, scene.c2w)
+    np.testing.assert_array_equal(again.fov, scene.fov)
+    assert again.texture is None
+
+
+def test_varying_patches_survive_being_written(tmp_path):
+    texture = patches()
+    texture[5, 0] *= np.linspace(0, 1, 32, dtype=np.float16)
+    scene = Scene.load(write(tmp_path / "textured.h5", texture=texture))
+    again = Scene.load(save_h5(scene, tmp_path / "again.h5"))
+    np.testing.assert_array_equal(again.texture, scene.texture)
+    np.testing.assert_array_equal(again.triangles.positions, scene.triangles.positions)
+
+
+def test_patches_are_written_as_the_layout_has_them(tmp_path):
+    scene = PackedScene("room", SCENE, look_at((0.3, -1.5, 0.9))[None], np.array([40.0], np.float32))
+    with h5py.File(save_h5(scene, tmp_path / "room.h5", others={"gbuffer/depth": np.ones((1, 4, 4), "f4")})) as file:
+        np.testing.assert_array_equal(file["texture"], patches())
+        found = {name: (file[name].dtype, file[name].shape) for name in file if name != "gbuffer"}
+        assert file["gbuffer/depth"].shape == (1, 4, 4)
+        assert file["texture"].id.get_storage_size() < file["texture"].nbytes / 50
+    assert found == {
+        "triangles": ("f4", (len(SCENE), 3, 3)),
+        "vn": ("f4", (len(SCENE), 3, 3)),
+        "texture": ("f2", (len(SCENE), 13, 32, 32)),
+        "c2w": ("f4", (1, 4, 4)),
+        "fov": ("f4", (1,)),
+        "object_index": ("i4", (len(SCENE),)),
+    }
+
+
+def test_images_are_linear_half_precision_with_channels_last(tmp_path):
+    images = np.random.default_rng(0).exponential(2.0, (1, 6, 6, 3)).astype(np.float32)
+    scene = PackedScene("room", SCENE, look_at((0.3, -1.5, 0.9))[None], np.array([40.0], np.float32))
+    path = save_h5(scene, tmp_path / "room.h5", images)
+    assert image_shape(path) == (1, 6, 6)
+    np.testing.assert_array_equal(load_images(path), images.astype(np.float16))
+    with_alpha = np.concatenate([images, np.ones((1, 6, 6, 1))], axis=-1).astype(np.float16)
+    np.testing.assert_array_equal(load_images(write(tmp_path / "rgba.h5", img=with_alpha)), images.astype(np.float16))
+
+
+def test_the_projection_puts_points_where_the_camera_sees_them(tmp_path):
+    pose, height, width = look_at((0.3, -1.5, 0.9)), 6, 12
+    scene = PackedScene("room", SCENE, pose[None], np.array([40.0], np.float32))
+    path = save_h5(scene, tmp_path / "room.h5", np.zeros((1, height, width, 3), np.float32))
+    origins, directions = pixel_rays(pose, 40.0, height, width)
+    points = np.concatenate([origins + 1.3 * directions, np.ones((height, width, 1))], axis=-1)
+    with h5py.File(path) as file:
+        clip = points @ file["mvp"][0].T.astype(np.float64)
+    x, y, depth = np.moveaxis(clip[..., :3] / clip[..., 3:], -1, 0)
+    np.testing.assert_allclose(x, np.broadcast_to((np.arange(width) + 0.5) / width * 2 - 1, x.shape), atol=1e-5)
+    np.testing.assert_allclose(y.T, np.broadcast_to((np.arange(height) + 0.5) / height * 2 - 1, y.T.shape), atol=1e-5)
+    assert (np.abs(depth) < 1).all()
+
+
+def test_what_half_precision_cannot_hold_is_not_written(tmp_path):
+    bright = replace(SCENE, material=np.where(SCENE.material > 1000, 1e5, SCENE.material).astype(np.float32))
+    scene = PackedScene("room", bright, look_at((0.3, -1.5, 0.9))[None], np.array([40.0], np.float32))
+    with pytest.raises(SceneError, match=r"room\.h5: material: 100000 cannot be stored"):
+        save_h5(scene, tmp_path / "room.h5")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({}, "the data set 'img' is missing"),
+        ({"img": np.zeros((2, 6, 6, 3), np.float16)}, "img: shape"),
+        ({"img": np.zeros((1, 3, 6, 6), np.float16)}, "img: shape"),
+        ({"img": np.full((1, 6, 6, 3), np.nan, np.float16)}, "img: holds NaN"),
+    ],
+)
+def test_images_that_are_missing_or_wrong_are_named(tmp_path, changes, message):
+    path = write(tmp_path / "bad.h5", **changes)
+    with pytest.raises(SceneError, match=message) as caught:
+        load_images(path)
+    assert str(path) in str(caught.value)
+
+
+def test_objects_that_are_not_one_per_triangle_are_refused(tmp_path):
+    path = write(tmp_path / "bad.h5", object_index=np.zeros(3, np.int32))
+    with pytest.raises(SceneError, match=r"bad\.h5: object_index: int32 \(3,\)"):
+        Scene.load(path)
+
+
+def test_patches_are_read_piece_by_piece(tmp_path, monkeypatch):
+    monkeypatch.setattr(h5, "_SLAB", 100)
+    whole = PackedScene("room", SCENE, look_at((0.3, -1.5, 0.9))[None], np.array([40.0], np.float32))
+    for path in (write(tmp_path / "room.h5"), save_h5(whole, tmp_path / "chunked.h5")):
+        materials = {t.tobytes(): m for t, m in zip(SCENE.positions, SCENE.material.astype(np.float16), strict=True)}
+        scene = Scene.load(path)
+        found = zip(scene.triangles.positions, scene.triangles.material, strict=True)
+        assert all(np.array_equal(materials[t.tobytes()], m) for t, m in found)

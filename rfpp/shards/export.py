@@ -1,0 +1,170 @@
+"""Samples as files for other tools: RenderFormer's JSON with meshes, its H5, and EXR images for people.
+
+Every function writes into a folder, under the name of the sample, and returns the paths.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import SupportsFloat
+
+import numpy as np
+from jaxtyping import Float
+
+from rfpp.errors import SceneError, UserError
+from rfpp.exr import write_exr
+from rfpp.gbuffer.first_hit import channel, object_ids
+from rfpp.panels import save_png, tone_mapped
+from rfpp.scene.formats import save_scene
+from rfpp.scene.h5 import save_h5
+from rfpp.scene.mesh import Mesh
+from rfpp.scene.packed import PackedScene
+from rfpp.scene.shading import corner_normals
+from rfpp.scene.spec import Camera, Material, Scene, SceneObject, Transform
+from rfpp.scene.triangles import DIFFUSE, EMISSION, ROUGHNESS, SPECULAR, SceneTriangles
+from rfpp.shards.pictures import first_bounce
+from rfpp.shards.sample import SceneSample
+
+_IN_PLACE = Transform(normalize=False)
+
+
+def export(sample: SceneSample, format: str, folder: Path) -> list[Path]:
+    """Write a sample in one of `FORMATS`. Raises UserError: no such format, or a file that cannot be written."""
+    if format not in FORMATS:
+        raise UserError(f"format '{format}' does not exist: choose from {', '.join(FORMATS)}")
+    return FORMATS[format](sample, Path(folder))
+
+
+def export_renderformer(sample: SceneSample, folder: Path) -> list[Path]:
+    """RenderFormer JSON v1.0 with a mesh per object, and the images of `export_exr`, also as PNG.
+
+    `Scene.load` gives back positions and materials exactly and cameras to float32. Of normals the format says only
+    whether an object is smooth: whichever of flat and smooth is nearer to the sample's is written, which for generated
+    scenes is what they were made with; any others are lost. An object of several materials becomes an object for each,
+    with edges between them. Triangles without area are left out.
+    """
+    scene = save_scene(as_scene(sample), folder / f"{sample.key}.json")
+    pictures = [
+        save_png(tone_mapped(image), folder / f"{sample.key}.view{view}.png")
+        for view, image in enumerate(sample.images)
+    ]
+    return [scene, *export_exr(sample, folder), *pictures]
+
+
+def export_h5(sample: SceneSample, folder: Path) -> list[Path]:
+    """RenderFormer's H5 as its training reads it, see `rfpp.scene.h5`; materials and images in half precision.
+
+    Its G-buffers follow as `gbuffer/<name>` [V, H, W] or [V, H, W, 3] in the names, types and units of the sample's
+    EXR files, but `gbuffer/triangle` counts from 0 and is -1 where nothing is hit.
+    """
+    packed = PackedScene(sample.key, sample.triangles, sample.c2w, sample.fov)
+    gbuffers = {
+        "triangle": np.stack([g.triangle for g in sample.gbuffers]),
+        "depth": np.stack([g.depth for g in sample.gbuffers]),
+        "normal": np.stack([g.normal for g in sample.gbuffers]).astype(np.float16),
+        "direct_diffuse": np.stack([g.light.diffuse for g in sample.gbuffers]).astype(np.float16),
+        "direct_glossy": np.stack([g.light.glossy for g in sample.gbuffers]).astype(np.float16),
+    }
+    others = {f"gbuffer/{name}": array for name, array in gbuffers.items()}
+    return [save_h5(packed, folder / f"{sample.key}.h5", sample.images, others)]
+
+
+def export_exr(sample: SceneSample, folder: Path) -> list[Path]:
+    """A many-layered EXR per view, which shows the reference image: any HDR viewer opens it.
+
+    Half precision, but float32 `depth` and `direct`. `triangle` and `object` count from 1, and 0 is nothing. `direct`
+    is the radiance of the first bounce, the rest of the image came by more; other layers as in
+    `rfpp.gbuffer.first_hit.CHANNELS`.
+    """
+    return [
+        write_exr(folder / f"{sample.key}.view{view}.exr", _layers(sample, view)) for view in range(len(sample.images))
+    ]
+
+
+#: Name on the command line → what writes it.
+FORMATS: Mapping[str, Callable[[SceneSample, Path], list[Path]]] = {
+    "renderformer": export_renderformer,
+    "h5": export_h5,
+    "exr": export_exr,
+}
+
+
+def as_scene(sample: SceneSample) -> Scene:
+    """Objects with meshes in world space and look-at cameras, as `export_renderformer` describes.
+
+    Raises:
+        SceneError: naming the object whose material or mesh a scene file cannot hold.
+    """
+    cameras = tuple(look_at(pose, fov) for pose, fov in zip(sample.c2w, sample.fov, strict=True))
+    return Scene(name=sample.key, objects=tuple(_objects(sample.triangles)), cameras=cameras)
+
+
+def look_at(c2w: Float[np.ndarray, "4 4"], fov: SupportsFloat) -> Camera:
+    """The camera whose `camera_to_world` is this pose."""
+    right_up_backward, position = c2w[:3, :3].astype(np.float64), c2w[:3, 3].astype(np.float64)
+    return Camera(
+        position=tuple(position.tolist()),
+        look_at=tuple((position - right_up_backward[:, 2]).tolist()),
+        up=tuple(right_up_backward[:, 1].tolist()),
+        fov=float(fov),
+    )
+
+
+def _objects(triangles: SceneTriangles) -> Iterator[SceneObject]:
+    for index, name in enumerate(triangles.object_names):
+        rows = np.arange(*triangles.object_offsets[index : index + 2])
+        rows = rows[_areas(triangles.positions[rows]) > 0]
+        materials, part = np.unique(triangles.material[rows], axis=0, return_inverse=True)
+        for number, material in enumerate(materials):
+            part_name = name if len(materials) == 1 else f"{name}_material_{number}"
+            mine = rows[part.reshape(-1) == number]
+            try:
+                yield _object(part_name, triangles.positions[mine], triangles.normals[mine], material)
+            except SceneError as error:
+                raise SceneError(f"object '{part_name}': {error}") from None
+
+
+def _object(
+    name: str, corners: Float[np.ndarray, "f 3 3"], normals: Float[np.ndarray, "f 3 3"], material: np.ndarray
+) -> SceneObject:
+    vertices, faces = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
+    mesh = Mesh(vertices, faces.reshape(-1, 3))
+    misses = [np.abs(corner_normals(mesh, smooth) - normals).mean() for smooth in (False, True)]
+    diffuse, specular, emissive = (tuple(material[columns].tolist()) for columns in (DIFFUSE, SPECULAR, EMISSION))
+    return SceneObject(
+        name=name,
+        mesh=mesh,
+        transform=_IN_PLACE,
+        material=Material(
+            diffuse=diffuse,
+            specular=specular,
+            roughness=material[ROUGHNESS].item(),
+            emissive=emissive,
+            smooth_shading=bool(misses[1] < misses[0]),
+        ),
+    )
+
+
+def _areas(corners: Float[np.ndarray, "f 3 3"]) -> Float[np.ndarray, " f"]:
+    edges = corners[:, 1:].astype(np.float64) - corners[:, :1]
+    return np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=-1) / 2
+
+
+def _layers(sample: SceneSample, view: int) -> dict[str, np.ndarray]:
+    gbuffer, material = sample.gbuffers[view], sample.triangles.material
+    colours = {
+        "RGB": sample.images[view],
+        "direct_diffuse": gbuffer.light.diffuse,
+        "direct_glossy": gbuffer.light.glossy,
+        "normal": gbuffer.normal,
+        **{name: channel(gbuffer, material, sample.fov[view], name) for name in ("albedo", "specular")},
+        "roughness": channel(gbuffer, material, sample.fov[view], "roughness")[..., 0],
+    }
+    return {
+        **{name: layer.astype(np.float16) for name, layer in colours.items()},
+        "direct": first_bounce(gbuffer, material).astype(np.float32),
+        "depth": gbuffer.depth,
+        "triangle": (gbuffer.triangle + 1).astype(np.uint32),
+        "object": (object_ids(gbuffer, sample.triangles) + 1).astype(np.uint32),
+    }

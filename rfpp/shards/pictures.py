@@ -1,0 +1,112 @@
+"""Pictures of scenes and samples: what `launch/generate.py` shows of a data set, and of one that is yet to be made."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import SupportsFloat
+
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from rfpp import panels
+from rfpp.gbuffer.direct_light import with_direct_light
+from rfpp.gbuffer.first_hit import GBuffer, camera_caster, channel, first_hit, object_ids
+from rfpp.gbuffer.light_sampler import LightSampler
+from rfpp.gbuffer.raycast import RayCaster
+from rfpp.scene.packed import PackedScene, pack
+from rfpp.scene.spec import Scene
+from rfpp.scene.triangles import SceneTriangles
+from rfpp.shards.sample import SceneSample
+
+#: Light from everywhere that stands in for all bounces after the first on contact sheets.
+_AMBIENT = 0.08
+_LIGHT_SAMPLES = 4
+_WIREFRAME = 256  # pixels at least, so that triangles of a pixel show their edges
+_SUPERSAMPLING = 2
+
+
+def sample_panel(sample: SceneSample) -> UInt8[np.ndarray, "h w 3"]:
+    """One row per view of a sample: image, G-buffers, first bounce of light, and the triangles by their edges."""
+    triangles, material = sample.triangles, sample.triangles.material
+    views = list(zip(sample.gbuffers, sample.c2w, sample.fov, strict=True))
+    caster = camera_caster(triangles)
+    columns = {
+        "image": [panels.tone_mapped(image) for image in sample.images],
+        "direct light": [panels.tone_mapped(first_bounce(g, material)) for g, _, _ in views],
+        "albedo": [panels.tone_mapped(channel(g, material, f, "albedo")) for g, _, f in views],
+        "specular": [panels.tone_mapped(channel(g, material, f, "specular")) for g, _, f in views],
+        "normal": [_normal_colours(g) for g, _, _ in views],
+        "depth (near is bright)": [_depth_colours(g) for g, _, _ in views],
+        "objects": [panels.distinct_colours(object_ids(g, triangles)) for g, _, _ in views],
+        "triangles": [
+            _wireframe(triangles, pose, fov, *image.shape[:2], caster)
+            for (_, pose, fov), image in zip(views, sample.images, strict=True)
+        ],
+    }
+    captions = [
+        f"view {index}: {fov:.0f} degrees, surfaces in {gbuffer.hit.mean():.0%} of the pixels, mean radiance "
+        f"{image.mean():.3f}"
+        for index, ((gbuffer, _, fov), image) in enumerate(zip(views, sample.images, strict=True))
+    ]
+    redraws = ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in sample.meta.get("redraws", {}).items())
+    title = ": ".join(filter(None, [sample.key, _contents(triangles)])) + (f"; {redraws}" if redraws else "")
+    return panels.panel(columns, captions, title)
+
+
+def contact_sheet(scenes: Iterable[Scene | PackedScene], resolution: int) -> UInt8[np.ndarray, "h w 3"]:
+    """Scenes as their first cameras see them, without a path tracer: direct light, shadows, a little from everywhere.
+
+    Args:
+        scenes: each with a camera at least.
+        resolution: pixels along a side of each picture.
+    """
+    packed = [pack(scene) for scene in scenes]
+    captions = [f"{index}: {_contents(scene.triangles)}" for index, scene in enumerate(packed)]
+    return panels.contact_sheet([_preview(scene, resolution) for scene in packed], captions)
+
+
+def first_bounce(
+    gbuffer: GBuffer, material: Float[np.ndarray, "m 10"], ambient: float = 0.0
+) -> Float[np.ndarray, "h w 3"]:
+    """Radiance of the direct light in a G-buffer, and of `ambient` more light from everywhere."""
+    light = {"albedo": gbuffer.light.diffuse, "specular": gbuffer.light.glossy}
+    return sum(channel(gbuffer, material, 0, name) * (arriving + ambient) for name, arriving in light.items())
+
+
+def _preview(scene: PackedScene, resolution: int) -> UInt8[np.ndarray, "h w 3"]:
+    pose, fov, triangles = scene.c2w[0], scene.fov[0], scene.triangles
+    gbuffer = first_hit(triangles, pose, fov, resolution, resolution)
+    lit = with_direct_light(gbuffer, pose, fov, LightSampler(triangles), _LIGHT_SAMPLES)
+    return panels.tone_mapped(first_bounce(lit, triangles.material, _AMBIENT))
+
+
+def _wireframe(
+    triangles: SceneTriangles, pose: np.ndarray, fov: SupportsFloat, height: int, width: int, caster: RayCaster
+) -> UInt8[np.ndarray, "h w 3"]:
+    """Dark lines wherever neighbouring pixels see different triangles, over a shade that tells slopes apart."""
+    enlarged = -(-_WIREFRAME // max(height, width))
+    fine = enlarged * _SUPERSAMPLING
+    seen = first_hit(triangles, pose, fov, height * fine, width * fine, caster)
+    padded = np.pad(seen.triangle, ((0, 1), (0, 1)), mode="edge")
+    edge = (padded[:-1, :-1] != padded[1:, :-1]) | (padded[:-1, :-1] != padded[:-1, 1:])
+    shade = np.where(seen.hit, 0.35 + 0.65 * seen.normal[..., 2].clip(0), 1) * np.where(edge, 0.25, 1)
+    blocks = shade.reshape(height * enlarged, _SUPERSAMPLING, width * enlarged, _SUPERSAMPLING).mean((1, 3))
+    return np.repeat((255 * blocks).astype(np.uint8)[..., None], 3, axis=-1)
+
+
+def _normal_colours(gbuffer: GBuffer) -> UInt8[np.ndarray, "h w 3"]:
+    """Right is red, up green, towards the camera blue."""
+    return (np.where(gbuffer.hit[..., None], gbuffer.normal.clip(-1, 1) + 1, 0) * 127.5).astype(np.uint8)
+
+
+def _depth_colours(gbuffer: GBuffer) -> UInt8[np.ndarray, "h w 3"]:
+    """From the nearest to the farthest hit; black is nothing."""
+    seen = gbuffer.depth[gbuffer.hit]
+    near, far = (seen.min(), seen.max()) if len(seen) else (0.0, 0.0)
+    share = (far - gbuffer.depth) / max(far - near, 1e-6)
+    return panels.false_colours(np.where(gbuffer.hit, 0.1 + 0.9 * share, 0))
+
+
+def _contents(triangles: SceneTriangles) -> str:
+    lights = len(np.unique(triangles.object_index[triangles.is_emissive]))
+    return f"{len(triangles)} triangles, {triangles.num_objects - lights} objects, {lights} lights"

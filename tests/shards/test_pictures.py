@@ -1,0 +1,118 @@
+"""Pictures of samples and scenes: they show what they say."""
+
+import numpy as np
+import pytest
+from known_scenes import LIGHT, look_at, material, pack, sphere, square, still_life
+from small_data import BoxFamily
+from stored_sample import stored_sample
+
+from rfpp import panels
+from rfpp.panels import tone_mapped
+from rfpp.scene.packed import PackedScene
+from rfpp.shards import pictures
+from rfpp.shards.pictures import contact_sheet, first_bounce, sample_panel
+
+
+@pytest.fixture
+def shown(monkeypatch) -> dict:
+    """What is put on sheets: columns, captions and title."""
+    seen = {}
+
+    def panel(columns, captions, title):
+        seen.update(columns=columns, captions=captions, title=title)
+        return np.zeros((1, 1, 3), np.uint8)
+
+    def sheet(tiles, captions):
+        seen.update(tiles=tiles, captions=captions)
+        return np.zeros((1, 1, 3), np.uint8)
+
+    monkeypatch.setattr(panels, "panel", panel)
+    monkeypatch.setattr(panels, "contact_sheet", sheet)
+    return seen
+
+
+def test_a_panel_shows_every_view_of_a_sample(shown):
+    sample = stored_sample()
+    sample_panel(sample)
+    assert {len(tiles) for tiles in shown["columns"].values()} == {2} == {len(shown["captions"])}
+    assert shown["title"] == (
+        "train-000001: 7 triangles, 2 objects, 1 lights; 3 empty views, 2 scene redraws, 4 unlit views"
+    )
+    for view, (image, gbuffer) in enumerate(zip(sample.images, sample.gbuffers, strict=True)):
+        column = {name: tiles[view] for name, tiles in shown["columns"].items()}
+        np.testing.assert_array_equal(column["image"], tone_mapped(image))
+        empty = ~gbuffer.hit
+        for name in ("direct light", "albedo", "specular", "normal", "depth (near is bright)", "objects"):
+            assert not column[name][empty].any(axis=-1).any() or name.startswith("depth")
+            assert column[name][gbuffer.hit].any()
+
+
+def test_a_panel_is_a_picture_of_all_of_them():
+    sample = stored_sample()
+    sheet = sample_panel(sample)
+    assert sheet.dtype == np.uint8 and sheet.shape[1] > 8 * 160 and sheet.shape[0] > 2 * 160
+
+
+def test_each_object_has_one_colour_of_its_own(shown):
+    scene = PackedScene("still life", still_life(), look_at((0.3, -1.5, 0.9))[None], np.array([40.0], np.float32))
+    sample = stored_sample(scene)
+    sample_panel(sample)
+    seen, gbuffer = shown["columns"]["objects"][0], sample.gbuffers[0]
+    ids = np.where(gbuffer.hit, sample.triangles.object_index[gbuffer.triangle], -1)
+    colours = {index: np.unique(seen[ids == index], axis=0) for index in np.unique(ids)}
+    assert all(len(colour) == 1 for colour in colours.values())
+    assert len({tuple(colour[0]) for colour in colours.values()}) == len(colours) > 1
+
+
+def test_edges_are_dark_where_triangles_meet_and_nowhere_else(shown):
+    from_above = look_at((0, 0, 2), up=(0, 1, 0))
+    scene = PackedScene("square", pack((square(4.0), material(diffuse=0.5))), from_above[None], np.array([30.0], "f4"))
+    sample_panel(stored_sample(scene))
+    picture = shown["columns"]["triangles"][0][:, :, 0].astype(int)
+    row, column = np.indices(picture.shape)
+    near = np.abs(row + column - (len(picture) - 1)) <= 1  # pixels from the only edge
+    assert (np.where(near, picture, 255).min(axis=1) < 220).all()
+    assert picture[~near].min() == picture[~near].max() > 240
+
+
+def test_first_bounce_weighs_each_lobe_with_its_albedo():
+    sample = stored_sample()
+    gbuffer, row = sample.gbuffers[0], sample.triangles.material[sample.gbuffers[0].triangle]
+    expected = row[..., 0:3] * gbuffer.light.diffuse + row[..., 3:6] * gbuffer.light.glossy
+    seen = gbuffer.hit
+    np.testing.assert_allclose(first_bounce(gbuffer, sample.triangles.material)[seen], expected[seen], rtol=1e-6)
+    brighter = first_bounce(gbuffer, sample.triangles.material, ambient=0.1)
+    np.testing.assert_allclose(
+        (brighter[seen] - expected[seen]), 0.1 * (row[..., 0:3] + row[..., 3:6])[seen], atol=1e-6
+    )
+    assert not brighter[~seen].any()
+
+
+def test_a_contact_sheet_shows_shadows_and_counts(shown):
+    lamp = (np.add(LIGHT, [0, 0, 2]), material(emission=5000.0))
+    floor, ball = (square(2.0), material(diffuse=0.8)), (sphere(0.2, (0, 0, 0.5)), material(diffuse=0.8))
+    from_the_side = look_at((0, -2.5, 0.25))
+    scenes = [
+        PackedScene("lit", pack(*things), from_the_side[None], np.array([40.0], np.float32))
+        for things in ((floor, lamp), (floor, ball, lamp))
+    ]
+    contact_sheet(scenes, 64)
+    assert shown["captions"] == ["0: 3 triangles, 1 objects, 1 lights", "1: 1283 triangles, 2 objects, 1 lights"]
+    lit, shadowed = (tile[32, 32].astype(int).sum() for tile in shown["tiles"])
+    assert 0 < shadowed < lit / 2
+
+
+def test_scenes_of_a_family_are_shown_through_their_first_camera(shown, monkeypatch):
+    monkeypatch.setattr(pictures, "_LIGHT_SAMPLES", 1)
+    scene = BoxFamily().sample(np.random.default_rng(1), np.random.default_rng(2), held_out=False)
+    contact_sheet([scene, scene.model_copy(update={"cameras": scene.cameras[::-1]})], 16)
+    first, second = shown["tiles"]
+    assert first.any() and second.any() and not np.array_equal(first, second)
+
+
+def test_a_scene_without_light_is_shown_all_the_same(shown):
+    dark = still_life()
+    dark.material[:, 7:] = 0
+    scene = PackedScene("dark", dark, look_at((0.3, -1.5, 0.9))[None], np.array([40.0], np.float32))
+    contact_sheet([scene], 16)
+    assert shown["tiles"][0].any()
