@@ -13,6 +13,9 @@ import trimesh
 from rfpp.errors import SceneError
 from rfpp.scene.files import write_atomically
 
+#: The formats that `load_mesh` reads.
+MESH_SUFFIXES = (".obj", ".ply", ".stl", ".gltf", ".glb")
+
 #: A triangle lower than this fraction of its longest side has no direction in float32.
 _DEGENERATE_SLIMNESS = 1e-6
 
@@ -58,19 +61,24 @@ class Mesh:
 
 
 def load_mesh(path: Path) -> Mesh:
-    """Read an OBJ, PLY or STL file; polygons are cut into triangles, materials and stored normals are ignored.
+    """Read an OBJ, PLY, STL or glTF file; polygons are cut into triangles, materials and stored normals are ignored.
+
+    The meshes of a glTF file are placed by its nodes and put together.
 
     Raises:
         SceneError: naming the file, if it is missing, unreadable or not a valid `Mesh`.
     """
-    if path.suffix.lower() not in {".obj", ".ply", ".stl"}:
-        raise SceneError(f"{path}: '{path.suffix}' is not a mesh format that can be read: export OBJ, PLY or STL")
+    if path.suffix.lower() not in MESH_SUFFIXES:
+        raise SceneError(f"{path}: '{path.suffix}' is not a mesh format that can be read: export OBJ, PLY, STL or glTF")
     if not path.is_file():
         raise SceneError(f"{path}: there is no such mesh file: correct the path")
     if path.suffix.lower() == ".obj":
         _check_obj_indices(path)
     try:
-        loaded = trimesh.load_mesh(path, process=False, skip_materials=True)
+        if path.suffix.lower() in (".gltf", ".glb"):
+            loaded = trimesh.load_scene(path, process=False, skip_materials=True).to_mesh()
+        else:
+            loaded = trimesh.load_mesh(path, process=False, skip_materials=True)
         vertices, faces = loaded.vertices, loaded.faces
     except Exception as error:  # trimesh's readers raise whatever the file makes them stumble over
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
