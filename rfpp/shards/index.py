@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
+import os
+import tarfile
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from rfpp.errors import ShardError
+from rfpp.shards import tar
 
 #: What to run when something is missing or damaged.
 REMEDY = "run launch/generate.py again with the same experiment"
@@ -60,13 +64,38 @@ class Shard:
             )
         return path
 
-    def damaged(self, root: Path, key: str, why: str) -> ShardError:
+    def blocks(self, root: Path | str, descriptor: int, entry: SampleEntry) -> bytes:
+        """The tar blocks of a sample, from the open tar. Raises ShardError if they do not have the recorded sha256."""
+        blocks = os.pread(descriptor, entry.size, entry.offset)
+        if hashlib.sha256(blocks).hexdigest() != entry.sha256:
+            raise self.damaged(root, entry.key, "does not have the recorded sha256")
+        return blocks
+
+    def members(self, root: Path | str, descriptor: int, entry: SampleEntry) -> dict[str, bytes]:
+        """The files of a sample, from the open tar. Raises ShardError naming shard and sample, if it is damaged."""
+        try:
+            key, members = tar.unpack(self.blocks(root, descriptor, entry))
+        except tarfile.TarError as error:
+            raise self.damaged(root, entry.key, f"is not a tar entry ({error})") from error
+        if key != entry.key:
+            raise self.damaged(root, entry.key, f"is called {key} in the tar")
+        return members
+
+    def damaged(self, root: Path | str, key: str, why: str) -> ShardError:
         """The error to raise when the sample `key` cannot be used."""
-        return ShardError(f"{root / self.file}: sample {key} {why}: {self.remedy}")
+        return ShardError(f"{root}/{self.file}: sample {key} {why}: {self.remedy_at(root)}")
 
     @property
     def remedy(self) -> str:
         return f"delete {self.file} and {self.index_file}, and {REMEDY}"
+
+    def remedy_at(self, root: Path | str) -> str:
+        """What to do about a shard that is damaged in the folder, or behind the URL, `root`."""
+        if isinstance(root, Path):
+            return self.remedy
+        return (
+            f"delete *-{self.file} and *-{self.index_file} in datamodule.cache.folder, or repair them at their source"
+        )
 
 
 @dataclass(frozen=True)
@@ -84,6 +113,28 @@ class ShardIndex(Shard):
     def to_bytes(self) -> bytes:
         """The content of the index file."""
         return to_json({**asdict(self), "samples": [list(entry) for entry in self.samples]})
+
+
+@dataclass(frozen=True)
+class ListedShard(Shard):
+    """A shard in the manifest: how many samples it has, and its index by size and hash."""
+
+    samples: int
+    index_bytes: int
+    index_sha256: str
+
+    @classmethod
+    def of(cls, index: ShardIndex) -> ListedShard:
+        text = index.to_bytes()
+        return cls(
+            index.file,
+            index.bytes,
+            index.sha256,
+            index.fingerprint,
+            samples=len(index.samples),
+            index_bytes=len(text),
+            index_sha256=hashlib.sha256(text).hexdigest(),
+        )
 
 
 def index_file(file: str) -> str:

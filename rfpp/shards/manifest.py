@@ -5,13 +5,15 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from rfpp.errors import ShardError
-from rfpp.shards.index import REMEDY, SampleEntry, Shard, ShardIndex
+from rfpp.shards.cache import ShardCache
+from rfpp.shards.index import REMEDY, ListedShard, SampleEntry, ShardIndex
 from rfpp.shards.sample import SCHEMA_VERSION
+from rfpp.shards.store import Store, open_store
 
 MANIFEST_FILE = "manifest.json"
 
@@ -19,41 +21,19 @@ MANIFEST_FILE = "manifest.json"
 _COUNTED = ("triangles", "scene_redraws", "empty_views", "unlit_views")
 
 
-@dataclass(frozen=True)
-class ListedShard(Shard):
-    """A shard in the manifest: how many samples it has, and its index by size and hash."""
-
-    samples: int
-    index_bytes: int
-    index_sha256: str
-
-    @classmethod
-    def of(cls, index: ShardIndex) -> ListedShard:
-        text = index.to_bytes()
-        return cls(
-            index.file,
-            index.bytes,
-            index.sha256,
-            index.fingerprint,
-            samples=len(index.samples),
-            index_bytes=len(text),
-            index_sha256=hashlib.sha256(text).hexdigest(),
-        )
-
-
 class Manifest:
     """A complete data set. Samples are listed in the shards' indices, which are read when they are asked for.
 
     Attributes:
-        root: its folder.
+        store: where it lies.
         name: its name.
         settings: everything its content depends on.
         hash: sha256 of the manifest file; as the manifest holds every shard's hash, it identifies the data.
         counts: "scenes", "images", "triangles", "bytes", "scene_redraws", "empty_views", "unlit_views" over all splits.
     """
 
-    def __init__(self, root: Path, content: dict[str, Any], digest: str) -> None:
-        self.root = root
+    def __init__(self, store: Store, content: dict[str, Any], digest: str) -> None:
+        self.store = store
         self.name: str = content["name"]
         self.settings: dict[str, Any] = content["settings"]
         self.counts: dict[str, int] = content["counts"]
@@ -63,18 +43,24 @@ class Manifest:
         }
 
     @classmethod
-    def load(cls, root: str | Path) -> Manifest:
-        """Read `root`/manifest.json. Raises ShardError: absent, unreadable, or of another schema version."""
-        path = Path(root) / MANIFEST_FILE
+    def load(cls, root: str | Path, cache: ShardCache | None = None) -> Manifest:
+        """Read the manifest of the data set in the folder `root`, or behind that URL.
+
+        Raises:
+            ShardError: absent, unreadable, or of another schema version.
+            UserError: the server cannot be reached, or a URL comes without a cache.
+        """
+        store = open_store(root, cache)
+        path = f"{store.root}/{MANIFEST_FILE}"
         try:
-            text = path.read_bytes()
+            text = store.read(MANIFEST_FILE)
         except OSError:
             raise ShardError(f"{path}: there is no finished data set here: {REMEDY}, or set data.root") from None
         try:
             content = json.loads(text)
             version = content["schema_version"]
             if version == SCHEMA_VERSION:
-                return cls(Path(root), content, hashlib.sha256(text).hexdigest())
+                return cls(store, content, hashlib.sha256(text).hexdigest())
         except (ValueError, KeyError, TypeError, AttributeError) as error:
             raise ShardError(f"{path}: not a data set manifest ({error!r}): delete it and {REMEDY}") from error
         raise ShardError(
@@ -85,23 +71,27 @@ class Manifest:
     def shards(self, split: str) -> tuple[ListedShard, ...]:
         """The shards of a split. Raises ShardError naming the splits there are."""
         if split not in self._splits:
-            raise ShardError(f"{self.root / MANIFEST_FILE}: no split '{split}': choose from {', '.join(self._splits)}")
+            raise ShardError(f"{self.root}/{MANIFEST_FILE}: no split '{split}': choose from {', '.join(self._splits)}")
         return self._splits[split]
 
     def index(self, shard: ListedShard) -> ShardIndex:
         """The index of a shard. Raises ShardError naming the file: missing, or not the one that was listed."""
-        path = self.root / shard.index_file
-        try:
-            text = path.read_bytes()
-        except OSError as error:
-            raise ShardError(f"{path}: the index cannot be read ({error.strerror}): {shard.remedy}") from error
+        text = self.store.read_index(shard)
         if hashlib.sha256(text).hexdigest() != shard.index_sha256:
-            raise ShardError(f"{path}: the index does not have the sha256 in the manifest: {shard.remedy}")
+            raise ShardError(
+                f"{self.root}/{shard.index_file}: the index does not have the sha256 in the manifest: "
+                f"{shard.remedy_at(self.root)}"
+            )
         return ShardIndex.from_bytes(text)
 
     def samples(self, split: str) -> list[SampleEntry]:
         """The samples of a split in order of their index; reads the index of every shard."""
         return [entry for shard in self.shards(split) for entry in self.index(shard).samples]
+
+    @property
+    def root(self) -> str | Path:
+        """The data set's folder or URL."""
+        return self.store.root
 
     @property
     def splits(self) -> tuple[str, ...]:

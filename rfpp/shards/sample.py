@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,6 +22,12 @@ from rfpp.scene.triangles import SceneTriangles
 
 #: Raised whenever a member, a dtype or a meaning changes; data of another version is refused, never guessed at.
 SCHEMA_VERSION = 3
+
+#: From the sample's number of views to the numbers of those wanted.
+ViewChoice = Callable[[int], Iterable[int]]
+
+# A view's layers lie in three files, because a file is decoded whole: training without direct light leaves it alone.
+_IMAGE, _SURFACE, _LIGHT = "view{}.exr", "view{}.surface.exr", "view{}.light.exr"
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,26 +76,41 @@ def encode(sample: SceneSample) -> dict[str, bytes]:
         light = {"direct_diffuse": gbuffer.light.diffuse, "direct_glossy": gbuffer.light.glossy}
         for name, radiance in {"RGB": image, **light}.items():
             _require_half_range(radiance, f"{sample.key}: view {view}: {name}")
-        layers = {
-            "RGB": image.astype(np.float16),
+        surface = {
             "normal": gbuffer.normal.astype(np.float16),
             "depth": gbuffer.depth.astype(np.float32),
             "triangle": (gbuffer.triangle + 1).astype(np.uint32),
-            **{name: radiance.astype(np.float16) for name, radiance in light.items()},
         }
-        members[f"view{view}.exr"] = encode_exr(layers)
+        members[_IMAGE.format(view)] = encode_exr({"RGB": image.astype(np.float16)})
+        members[_SURFACE.format(view)] = encode_exr(surface)
+        members[_LIGHT.format(view)] = encode_exr({name: a.astype(np.float16) for name, a in light.items()})
     return members
 
 
-def decode(key: str, members: Mapping[str, bytes]) -> SceneSample:
-    """The inverse of `encode`. Raises ShardError naming the key: a missing or damaged member, another schema."""
+def decode(key: str, members: Mapping[str, bytes], choose: ViewChoice | None = None, light: bool = True) -> SceneSample:
+    """The inverse of `encode`, of all that is asked for.
+
+    Args:
+        key: of the sample.
+        members: member name → bytes.
+        choose: the sample's number of views → the numbers of those to decode; None decodes all.
+        light: whether the G-buffers are to have their direct light.
+
+    Raises:
+        ShardError: naming the key: a missing or damaged member, another schema.
+    """
     try:
         meta = json.loads(members["meta.json"])
         if meta.pop("schema_version", None) != SCHEMA_VERSION:
             raise ShardError(f"{key}: not of schema version {SCHEMA_VERSION}: generate the data again")
         geometry = load_arrays(members["geometry.safetensors"])
         cameras = load_arrays(members["cameras.safetensors"])
-        views = [decode_exr(members[f"view{view}.exr"], f"{key}.view{view}.exr") for view in range(len(cameras["fov"]))]
+        views = list((choose or range)(len(cameras["fov"])))
+
+        def layers(name: str, view: int) -> dict[str, np.ndarray]:
+            member = name.format(view)
+            return decode_exr(members[member], f"{key}.{member}")
+
         triangles = SceneTriangles(
             positions=geometry["positions"],
             normals=geometry["normals"].astype(np.float32),
@@ -100,10 +121,10 @@ def decode(key: str, members: Mapping[str, bytes]) -> SceneSample:
         return SceneSample(
             key=key,
             triangles=triangles,
-            c2w=cameras["c2w"],
-            fov=cameras["fov"],
-            images=np.stack([view["RGB"] for view in views]).astype(np.float32),
-            gbuffers=tuple(_gbuffer(view) for view in views),
+            c2w=cameras["c2w"][views],
+            fov=cameras["fov"][views],
+            images=np.stack([layers(_IMAGE, view)["RGB"] for view in views]).astype(np.float32),
+            gbuffers=tuple(_gbuffer(layers(_SURFACE, view), layers(_LIGHT, view) if light else None) for view in views),
             meta=meta,
         )
     except KeyError as error:
@@ -112,10 +133,11 @@ def decode(key: str, members: Mapping[str, bytes]) -> SceneSample:
         raise ShardError(f"{key}: a member is damaged ({error}): generate its shard again") from error
 
 
-def _gbuffer(layers: Mapping[str, np.ndarray]) -> GBuffer:
-    triangle = layers["triangle"].astype(np.int32) - 1
-    light = DirectLight(*(layers[name].astype(np.float32) for name in ("direct_diffuse", "direct_glossy")))
-    return GBuffer(triangle, layers["normal"].astype(np.float32), layers["depth"], light)
+def _gbuffer(surface: Mapping[str, np.ndarray], light: Mapping[str, np.ndarray] | None) -> GBuffer:
+    triangle = surface["triangle"].astype(np.int32) - 1
+    if light is not None:
+        light = DirectLight(*(light[name].astype(np.float32) for name in ("direct_diffuse", "direct_glossy")))
+    return GBuffer(triangle, surface["normal"].astype(np.float32), surface["depth"], light)
 
 
 def _per_object_if_constant(triangles: SceneTriangles) -> np.ndarray:

@@ -1,27 +1,23 @@
-"""Reading: random access to the samples of plain tars, in an order that depends on seed and epoch alone."""
+"""Reading: random access to the samples of plain tars."""
 
 from __future__ import annotations
 
 import bisect
-import hashlib
 import os
-import tarfile
 from collections import OrderedDict
-from collections.abc import Iterator
 from itertools import accumulate
 from pathlib import Path
 
-import numpy as np
-from torch.utils.data import Dataset, Sampler
+from torch.utils.data import Dataset
 
 from rfpp.errors import ShardError
-from rfpp.shards.index import ShardIndex
-from rfpp.shards.manifest import ListedShard, Manifest
-from rfpp.shards.sample import SceneSample, decode
-from rfpp.shards.tar import unpack
+from rfpp.shards.cache import ShardCache
+from rfpp.shards.index import ListedShard, ShardIndex
+from rfpp.shards.manifest import Manifest
+from rfpp.shards.sample import SceneSample, ViewChoice, decode
 
-#: Open shards per process; the one longest unused is closed first.
-_MAX_OPEN = 64
+#: Open shards per process; the one longest unused is closed first. A window of the shuffled order has fewer.
+_MAX_OPEN = 32
 
 
 class ShardSplit(Dataset):
@@ -30,41 +26,46 @@ class ShardSplit(Dataset):
     Reads only the bytes of the sample asked for. Picklable: every process opens the tars it touches itself.
 
     Args:
-        root: folder of the data set.
+        root: folder or URL of the data set.
         split: e.g. "train", "train_newviews", "test".
+        cache: for a URL.
+        require_all: whether a missing shard, or one of the wrong size, is an error at construction already; of remote
+            shards nothing is known before they are fetched.
 
     Raises:
-        ShardError: no data set, no such split, a missing shard or one of the wrong size (at construction), or a
-            sample whose bytes do not have the recorded sha256 (when it is read). Each names shard, key and remedy.
+        ShardError: no data set, no such split, a missing or truncated shard (at construction or when it is read), an
+            index that is not the manifest's, or a sample whose bytes do not have the recorded sha256 (when it is
+            read). Each names the file, the key and what to do.
+        UserError: a server that cannot be reached.
     """
 
-    def __init__(self, root: str | Path, split: str) -> None:
-        self.manifest = Manifest.load(root)
+    def __init__(self, root: str | Path, split: str, cache: ShardCache | None = None, require_all: bool = True) -> None:
+        self.manifest = Manifest.load(root, cache)
         self.split = split
-        self._root = Path(root)
         self._shards = self.manifest.shards(split)
-        self._ends = list(accumulate(shard.samples for shard in self._shards))
+        self._ends = list(accumulate(self.sizes))
         self._open: OrderedDict[str, tuple[ShardIndex, int]] = OrderedDict()
-        for shard in self._shards:
-            shard.require_intact_file(self._root)
+        if require_all and isinstance(self.manifest.root, Path):
+            for shard in self._shards:
+                shard.require_intact_file(self.manifest.root)
+
+    @property
+    def sizes(self) -> list[int]:
+        """Scenes in each shard."""
+        return [shard.samples for shard in self._shards]
 
     def __len__(self) -> int:
         return self._ends[-1] if self._ends else 0
 
     def __getitem__(self, index: int) -> SceneSample:
+        return self.read(index)
+
+    def read(self, index: int, choose: ViewChoice | None = None, light: bool = True) -> SceneSample:
+        """The scene, or of it what is asked for (see `rfpp.shards.sample.decode`)."""
         shard, position = self._locate(index)
         opened, descriptor = self._opened(shard)
         entry = opened.samples[position]
-        blocks = os.pread(descriptor, entry.size, entry.offset)
-        if hashlib.sha256(blocks).hexdigest() != entry.sha256:
-            raise shard.damaged(self._root, entry.key, "does not have the recorded sha256")
-        try:
-            key, members = unpack(blocks)
-        except tarfile.TarError as error:
-            raise shard.damaged(self._root, entry.key, f"is not a tar entry ({error})") from error
-        if key != entry.key:
-            raise shard.damaged(self._root, entry.key, f"is called {key} in the tar")
-        return decode(key, members)
+        return decode(entry.key, shard.members(self.manifest.root, descriptor, entry), choose, light)
 
     def key(self, index: int) -> str:
         """The key of a sample, without reading it."""
@@ -98,50 +99,16 @@ class ShardSplit(Dataset):
             return self._open[shard.file]
         if len(self._open) >= _MAX_OPEN:
             os.close(self._open.popitem(last=False)[1][1])
-        path = shard.require_intact_file(self._root)
-        try:
-            self._open[shard.file] = self.manifest.index(shard), os.open(path, os.O_RDONLY)
-        except OSError as error:
-            raise ShardError(f"{path}: cannot be opened ({error.strerror}): check its permissions") from error
+        self._open[shard.file] = self.manifest.index(shard), self.manifest.store.open_tar(shard)
         return self._open[shard.file]
 
 
-class EpochSampler(Sampler[int]):
-    """Every index exactly once per epoch, in an order that is a function of (seed, epoch) alone.
-
-    Args:
-        length: number of samples.
-        seed: of the data order.
-    """
-
-    def __init__(self, length: int, seed: int) -> None:
-        self._length = length
-        self._seed = seed
-        self._epoch = 0
-        self._start = 0
-
-    def __len__(self) -> int:
-        return self._length
-
-    def __iter__(self) -> Iterator[int]:
-        order = np.random.default_rng(np.random.SeedSequence([self._seed, self._epoch])).permutation(self._length)
-        start, self._start = self._start, 0
-        return iter(order[start:].tolist())
-
-    def set_epoch(self, epoch: int) -> None:
-        """Choose the order of the next iteration; a different epoch starts at its beginning."""
-        if epoch != self._epoch:
-            self._epoch, self._start = epoch, 0
-
-    def state_dict(self, position: int) -> dict[str, int]:
-        """What resumes the order after `position` samples of this epoch.
-
-        The caller counts what was trained on: a loader with workers has drawn more indices than that.
-        """
-        return {"seed": self._seed, "epoch": self._epoch, "position": position}
-
-    def load_state_dict(self, state: dict[str, int]) -> None:
-        """Continue where `state` was taken: the next iteration yields the rest of that epoch."""
-        if state["seed"] != self._seed:
-            raise ShardError(f"the data order to resume has seed {state['seed']}, this run {self._seed}: set it so")
-        self._epoch, self._start = state["epoch"], state["position"]
+def find_sample(root: str | Path, key: str) -> SceneSample:
+    """The sample of that key, e.g. "train-000012". Raises ShardError naming what there is."""
+    split, _, number = key.rpartition("-")
+    manifest = Manifest.load(root)
+    counts = {name: sum(shard.samples for shard in manifest.shards(name)) for name in manifest.splits}
+    if number.isdecimal() and int(number) < counts.get(split, 0):
+        return ShardSplit(root, split)[int(number)]
+    there = ", ".join(f"{name}-000000 … {name}-{count - 1:06d}" for name, count in counts.items() if count)
+    raise ShardError(f"{root}: no sample '{key}' in this data set: choose from {there}")

@@ -5,27 +5,37 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import lightning as L
 from torch.utils.data import DataLoader
 
 from rfpp.batch import RaggedBatch
 from rfpp.errors import ShardError, UserError
+from rfpp.shards.cache import ShardCache
 from rfpp.shards.manifest import Manifest
+from rfpp.shards.order import ShuffledOrder, leading
 from rfpp.shards.stream import ShardSplit
+from rfpp.training.loader import SceneLoader, SkippingCorrupt, pack_readable
 from rfpp.training.views import AllViews, ColourPermutation, GlobalBatches, RigidAugmentation, TrainingViews
 
 
 class SceneDataModule(L.LightningDataModule):
     """Training batches of random views, and validation on unseen scenes.
 
+    Its state is the position in the data's order: what goes on from a checkpoint reads nothing that was trained on.
+
     Args:
-        root: folder of the data set.
+        root: folder or URL of the data set.
+        cache: where a remote data set is fetched to.
         gbuffer_channels: what the network reads, in order.
         scenes_per_step: scenes in a global batch, over all devices.
         views_per_scene: views of each of them; scenes x views is the batch size the paper speaks of.
         training_scenes: use only the first so many scenes of the `train` split; None uses all.
         validation_scenes: how many scenes of the `validation` split to use at most.
+        shuffle_shards: so many shards are mixed at a time.
+        skip_corrupt: leave a training scene that cannot be read out of its batch, with a warning, instead of
+            stopping. Validation always stops: its numbers are compared.
         rigid_augmentation, colour_augmentation: of training draws, or None.
         workers: loader processes per device.
         seed: of data order, views and augmentation.
@@ -34,30 +44,35 @@ class SceneDataModule(L.LightningDataModule):
     def __init__(
         self,
         root: str | Path,
+        cache: ShardCache,
         gbuffer_channels: Sequence[str],
         scenes_per_step: int,
         views_per_scene: int,
         training_scenes: int | None,
         validation_scenes: int,
+        shuffle_shards: int,
+        skip_corrupt: bool,
         rigid_augmentation: RigidAugmentation | None,
         colour_augmentation: ColourPermutation | None,
         workers: int,
         seed: int,
     ):
         super().__init__()
-        self.root, self.channels = Path(root), tuple(gbuffer_channels)
+        self.root, self.cache, self.channels = root, cache, tuple(gbuffer_channels)
         self.scenes_per_step, self.views_per_scene = scenes_per_step, views_per_scene
         self.training_scenes, self.validation_scenes = training_scenes, validation_scenes
+        self.shuffle_shards, self.skip_corrupt = shuffle_shards, skip_corrupt
         self.rigid_augmentation, self.colour_augmentation = rigid_augmentation, colour_augmentation
         self.workers, self.seed = workers, seed
+        self._batches_before = 0
 
     @cached_property
     def manifest(self) -> Manifest:
         """Raises ShardError when there is no data set at `root`."""
-        return Manifest.load(self.root)
+        return Manifest.load(self.root, self.cache)
 
     def train_dataloader(self) -> DataLoader:
-        split = ShardSplit(self.root, "train")
+        split = ShardSplit(self.root, "train", self.cache, require_all=not self.skip_corrupt)
         if len(split) == 0:
             raise ShardError(f"{self.root}: the train split is empty: generate data with data.splits.train above 0")
         trainer = self.trainer
@@ -68,28 +83,55 @@ class SceneDataModule(L.LightningDataModule):
                 "choose a multiple"
             )
         batches = GlobalBatches(
-            scenes=min(self.training_scenes or len(split), len(split)),
-            seed=self.seed,
+            ShuffledOrder(leading(split.sizes, self.training_scenes or len(split)), self.seed, self.shuffle_shards),
             scenes_per_batch=self.scenes_per_step,
             batches=trainer.max_steps * trainer.accumulate_grad_batches,
+            start=self._batches_before,
             rank=trainer.global_rank,
             ranks=devices,
         )
         views = TrainingViews(
             split, self.channels, self.views_per_scene, self.rigid_augmentation, self.colour_augmentation, self.seed
         )
-        return self._loader(views, batch_sampler=batches)
+        if self.skip_corrupt:
+            return self._loader(SkippingCorrupt(views), pack_readable, batch_sampler=batches)
+        return self._loader(views, RaggedBatch.pack, batch_sampler=batches)
 
     def val_dataloader(self) -> DataLoader:
-        scenes = AllViews(ShardSplit(self.root, "validation"), self.channels)
+        scenes = AllViews(ShardSplit(self.root, "validation", self.cache), self.channels)
         trainer = self.trainer
         mine = range(trainer.global_rank, min(self.validation_scenes, len(scenes)), trainer.world_size)
-        return self._loader(scenes, batch_size=1, sampler=mine)
+        return self._loader(scenes, RaggedBatch.pack, batch_size=1, sampler=mine)
 
-    def _loader(self, dataset, **how) -> DataLoader:
-        return DataLoader(
+    def state_dict(self) -> dict[str, Any]:
+        """The order and how far training has come in it; the loader itself is ahead, as its processes prefetch."""
+        return {"order": self._order, "batches": self.trainer.global_step * self.trainer.accumulate_grad_batches}
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        """Continue where the state was taken, on any number of devices. Raises UserError when the order is another."""
+        for name, before in state_dict["order"].items():
+            if before != self._order[name]:
+                raise UserError(
+                    f"the run to resume had {name}={before}, this one {self._order[name]}, which gives its batches in "
+                    f"another order: set it so, or start anew from its weights (initial_weights)"
+                )
+        self._batches_before = state_dict["batches"]
+
+    @property
+    def _order(self) -> dict[str, Any]:
+        """Everything that the global batches are a function of."""
+        return {
+            "seed": self.seed,
+            "datamodule.scenes_per_step": self.scenes_per_step,
+            "datamodule.training_scenes": self.training_scenes,
+            "datamodule.shuffle_shards": self.shuffle_shards,
+            "data manifest": self.manifest.hash,
+        }
+
+    def _loader(self, dataset, collate, **how) -> DataLoader:
+        return SceneLoader(
             dataset,
-            collate_fn=RaggedBatch.pack,
+            collate_fn=collate,
             num_workers=self.workers,
             persistent_workers=self.workers > 0,
             multiprocessing_context="spawn" if self.workers else None,

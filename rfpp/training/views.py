@@ -4,16 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 from torch.utils.data import Dataset, Sampler
 
 from rfpp.batch import SceneViews
-from rfpp.gbuffer.first_hit import CHANNELS, COLOUR_CHANNELS, stack_channels
+from rfpp.gbuffer.first_hit import CHANNELS, COLOUR_CHANNELS, LIGHT_CHANNELS, stack_channels
 from rfpp.scene.triangles import DIFFUSE, EMISSION, SPECULAR, SceneTriangles
-from rfpp.shards.sample import SceneSample
-from rfpp.shards.stream import EpochSampler, ShardSplit
+from rfpp.shards.order import ShuffledOrder
+from rfpp.shards.sample import SceneSample, ViewChoice
+from rfpp.shards.stream import ShardSplit
 
 
 def select_views(sample: SceneSample, views: Sequence[int], channels: Sequence[str]) -> SceneViews:
@@ -28,6 +30,12 @@ def select_views(sample: SceneSample, views: Sequence[int], channels: Sequence[s
         gbuffer=np.stack(gbuffer),
         image=np.ascontiguousarray(sample.images[list(views)].transpose(0, 3, 1, 2)),
     )
+
+
+def read_views(split: ShardSplit, index: int, channels: Sequence[str], choose: ViewChoice | None = None) -> SceneViews:
+    """`select_views` of the scene at `index`; only what these views and channels need is decoded."""
+    sample = split.read(index, choose, light=not set(LIGHT_CHANNELS).isdisjoint(channels))
+    return select_views(sample, range(len(sample.fov)), channels)
 
 
 @dataclass(frozen=True)
@@ -52,10 +60,10 @@ class RigidAugmentation:
 
 def moved(views: SceneViews, rotation: np.ndarray, translation: np.ndarray) -> SceneViews:
     """Scene and cameras after p → rotation · p + translation."""
-    old = views.triangles
+    old, turn = views.triangles, rotation.T.astype(np.float32)
     triangles = SceneTriangles(
-        positions=(old.positions @ rotation.T + translation).astype(np.float32),
-        normals=(old.normals @ rotation.T).astype(np.float32),
+        positions=(old.positions.reshape(-1, 3) @ turn + translation.astype(np.float32)).reshape(-1, 3, 3),
+        normals=(old.normals.reshape(-1, 3) @ turn).reshape(-1, 3, 3),
         material=old.material,
         object_offsets=old.object_offsets,
         object_names=old.object_names,
@@ -111,9 +119,9 @@ class TrainingViews(Dataset):
     def __getitem__(self, draw: tuple[int, int]) -> SceneViews:
         epoch, index = draw
         rng = np.random.default_rng(np.random.SeedSequence([self.seed, epoch, index]))
-        sample = self.split[index]
-        views = rng.permutation(len(sample.fov))[: self.views_per_scene].tolist()
-        chosen = select_views(sample, views, self.channels)
+        chosen = read_views(
+            self.split, index, self.channels, lambda views: rng.permutation(views)[: self.views_per_scene].tolist()
+        )
         if self.rigid:
             chosen = self.rigid(chosen, rng)
         if self.colour:
@@ -131,8 +139,7 @@ class AllViews(Dataset):
         return len(self.split)
 
     def __getitem__(self, index: int) -> SceneViews:
-        sample = self.split[index]
-        return select_views(sample, range(len(sample.fov)), self.channels)
+        return read_views(self.split, index, self.channels)
 
 
 class GlobalBatches(Sampler[list[tuple[int, int]]]):
@@ -142,32 +149,29 @@ class GlobalBatches(Sampler[list[tuple[int, int]]]):
     r-th part of each global batch.
 
     Args:
-        scenes: number of scenes in the split.
-        seed: of the order.
+        order: of the scenes.
         scenes_per_batch: global, over all ranks.
-        batches: how many global batches to give.
+        batches: in the whole run.
+        start: how many of them were trained on before.
         rank, ranks: which part to take.
     """
 
-    def __init__(self, scenes: int, seed: int, scenes_per_batch: int, batches: int, rank: int = 0, ranks: int = 1):
+    def __init__(
+        self, order: ShuffledOrder, scenes_per_batch: int, batches: int, start: int = 0, rank: int = 0, ranks: int = 1
+    ):
         if scenes_per_batch % ranks:
             raise ValueError(f"{scenes_per_batch} scenes per step do not divide among {ranks} ranks")
-        self.order = EpochSampler(scenes, seed)
-        self.scenes_per_batch, self.batches = scenes_per_batch, batches
+        self.order, self.scenes_per_batch = order, scenes_per_batch
+        self.batches, self.start = batches, start
         self.rank, self.ranks = rank, ranks
 
     def __len__(self) -> int:
+        """Batches in the whole run, as Lightning counts on from `start` itself."""
         return self.batches
 
     def __iter__(self) -> Iterator[list[tuple[int, int]]]:
-        draws, share = self._draws(), self.scenes_per_batch // self.ranks
-        for _ in range(self.batches):
-            batch = [next(draws) for _ in range(self.scenes_per_batch)]
+        draws = self.order.draws(self.start * self.scenes_per_batch)
+        share = self.scenes_per_batch // self.ranks
+        for _ in range(self.start, self.batches):
+            batch = list(islice(draws, self.scenes_per_batch))
             yield batch[self.rank * share : (self.rank + 1) * share]
-
-    def _draws(self) -> Iterator[tuple[int, int]]:
-        epoch = 0
-        while True:
-            self.order.set_epoch(epoch)
-            yield from ((epoch, index) for index in self.order)
-            epoch += 1

@@ -85,12 +85,27 @@ def test_missing_damaged_and_foreign_members_are_named(sample):
     without = {name: data for name, data in members.items() if name != "view1.exr"}
     with pytest.raises(ShardError, match=r"train-000001.*view1\.exr"):
         decode(sample.key, without)
-    for name in ("view0.exr", "geometry.safetensors", "meta.json"):
+    for name in ("view0.exr", "view0.surface.exr", "view1.light.exr", "geometry.safetensors", "meta.json"):
         with pytest.raises(ShardError, match="train-000001"):
             decode(sample.key, {**members, name: members[name][: len(members[name]) // 2]})
     foreign = members["meta.json"].replace(b'"schema_version": %d' % SCHEMA_VERSION, b'"schema_version": 99')
     with pytest.raises(ShardError, match="schema version"):
         decode(sample.key, {**members, "meta.json": foreign})
+
+
+def test_only_what_is_asked_for_is_decoded(sample):
+    members = encode(sample)
+    whole = decode(sample.key, members)
+    second = decode(sample.key, members, lambda views: [views - 1], light=False)
+    np.testing.assert_array_equal(second.images, whole.images[1:])
+    np.testing.assert_array_equal(second.c2w, whole.c2w[1:])
+    assert len(second.fov) == len(second.gbuffers) == 1
+    np.testing.assert_array_equal(second.gbuffers[0].depth, whole.gbuffers[1].depth)
+    assert second.gbuffers[0].light is None
+    needed = {name: data for name, data in members.items() if not name.startswith("view0") and "light" not in name}
+    decode(sample.key, needed, lambda views: [1], light=False)
+    with pytest.raises(ShardError, match=r"view1\.light\.exr"):
+        decode(sample.key, needed, lambda views: [1])
 
 
 def test_tar_blocks_round_trip(sample):

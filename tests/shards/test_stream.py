@@ -13,7 +13,7 @@ from torch.utils.data import DataLoader
 from rfpp.errors import ShardError
 from rfpp.shards import stream
 from rfpp.shards.sample import SCHEMA_VERSION, decode
-from rfpp.shards.stream import EpochSampler, ShardSplit
+from rfpp.shards.stream import ShardSplit
 
 
 def flip_byte(path: Path, offset: int) -> None:
@@ -41,7 +41,7 @@ def test_tars_are_plain_and_carry_no_clock_or_owner(finished):
     assert [m.name for m in members[:3]] == [
         "train-000000.meta.json", "train-000000.geometry.safetensors", "train-000000.cameras.safetensors"
     ]  # fmt: skip
-    assert len(members) == 2 * (3 + 2)
+    assert len(members) == 2 * (3 + 2 * 3)
     assert {(m.mtime, m.uid, m.gid, m.uname) for m in members} == {(0, 0, 0, "")}
 
 
@@ -140,41 +140,3 @@ def test_no_data_and_no_such_split_say_what_to_do(finished, tmp_path):
         ShardSplit(tmp_path, "train")
     with pytest.raises(ShardError, match="no split 'holdout': choose from test, train, train_newviews"):
         ShardSplit(finished.root, "holdout")
-
-
-def orders(seed: int, epochs: int) -> list[list[int]]:
-    sampler = EpochSampler(50, seed)
-    result = []
-    for epoch in range(epochs):
-        sampler.set_epoch(epoch)
-        result.append(list(sampler))
-    return result
-
-
-def test_order_is_a_function_of_seed_and_epoch():
-    first = orders(0, 3)
-    assert first == orders(0, 3)
-    assert first != orders(1, 3)
-    assert all(sorted(order) == list(range(50)) for order in first)
-    assert first[0] != first[1] != first[2]
-    late = EpochSampler(50, 0)
-    late.set_epoch(2)
-    assert list(late) == first[2]
-
-
-@pytest.mark.parametrize("position", [0, 1, 20, 49, 50])
-def test_the_rest_of_an_epoch_follows_after_resumption(position):
-    whole = orders(3, 3)
-    running = EpochSampler(50, 3)
-    running.set_epoch(1)
-    resumed = EpochSampler(50, 3)
-    resumed.load_state_dict(running.state_dict(position))
-    resumed.set_epoch(1)  # as a trainer does at the start of each epoch
-    assert list(resumed) == whole[1][position:]
-    resumed.set_epoch(2)
-    assert list(resumed) == whole[2]
-
-
-def test_an_order_of_another_seed_is_not_resumed():
-    with pytest.raises(ShardError, match="seed 3"):
-        EpochSampler(50, 4).load_state_dict(EpochSampler(50, 3).state_dict(10))

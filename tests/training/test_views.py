@@ -6,8 +6,11 @@ import numpy as np
 import pytest
 from small_data import make
 
+from rfpp.exr import decode_exr
 from rfpp.gbuffer.first_hit import first_hit, stack_channels
 from rfpp.scene.triangles import DIFFUSE, EMISSION, SPECULAR
+from rfpp.shards import sample
+from rfpp.shards.order import ShuffledOrder
 from rfpp.shards.stream import ShardSplit
 from rfpp.training.views import (
     AllViews,
@@ -29,10 +32,10 @@ def split(tmp_path_factory):
 
 
 def test_selected_views_are_the_stored_ones(split):
-    sample = split[1]
-    views = select_views(sample, [1], CHANNELS)
-    np.testing.assert_array_equal(views.image[0], sample.images[1].transpose(2, 0, 1))
-    np.testing.assert_array_equal(views.c2w[0], sample.c2w[1])
+    stored = split[1]
+    views = select_views(stored, [1], CHANNELS)
+    np.testing.assert_array_equal(views.image[0], stored.images[1].transpose(2, 0, 1))
+    np.testing.assert_array_equal(views.c2w[0], stored.c2w[1])
     assert views.gbuffer.shape == (1, 9, 8, 8)
 
 
@@ -91,23 +94,38 @@ def test_moved_rotates_normals_with_the_triangles(split):
     np.testing.assert_allclose(turned.triangles.normals[..., 1], views.triangles.normals[..., 0], atol=1e-6)
 
 
-def test_ranks_share_each_global_batch_and_epochs_are_complete():
-    def batches(rank, ranks):
-        return list(GlobalBatches(scenes=6, seed=1, scenes_per_batch=4, batches=6, rank=rank, ranks=ranks))
+def global_batches(**how) -> list[list[tuple[int, int]]]:
+    order = ShuffledOrder([2, 3, 1], seed=1, window=2)
+    return list(GlobalBatches(order, **{"scenes_per_batch": 4, "batches": 6, **how}))
 
-    whole = batches(0, 1)
-    parts = [batches(r, 4) for r in range(4)]
-    assert whole == [list(chain.from_iterable(part[i] for part in parts)) for i in range(6)]
+
+def test_ranks_share_each_global_batch_and_epochs_are_complete():
+    whole = global_batches()
+    for ranks in (2, 4):
+        parts = [global_batches(rank=rank, ranks=ranks) for rank in range(ranks)]
+        assert whole == [list(chain.from_iterable(part[i] for part in parts)) for i in range(6)]
     draws = list(chain.from_iterable(whole))
     for epoch in range(4):
         assert sorted(index for e, index in draws if e == epoch) == list(range(6))
-    orders = [tuple(index for e, index in draws if e == epoch) for epoch in range(4)]
-    assert len(set(orders)) > 1
+
+
+@pytest.mark.parametrize("start", range(7))
+def test_a_run_that_goes_on_gives_the_rest_of_the_batches(start):
+    assert global_batches(start=start) == global_batches()[start:]
 
 
 def test_a_batch_that_does_not_divide_among_ranks_is_refused():
     with pytest.raises(ValueError, match="5 scenes per step do not divide among 2 ranks"):
-        GlobalBatches(scenes=6, seed=1, scenes_per_batch=5, batches=1, ranks=2)
+        global_batches(scenes_per_batch=5, ranks=2)
+
+
+def test_a_training_draw_decodes_its_views_alone(split, monkeypatch):
+    decoded = []
+    monkeypatch.setattr(sample, "decode_exr", lambda data, name: decoded.append(name) or decode_exr(data, name))
+    views = TrainingViews(split, CHANNELS, 1, None, None, seed=0)[0, 1]
+    assert views.image.shape[0] == 1
+    assert len(decoded) == 2  # the image and its surfaces, no direct light
+    assert len({name.split(".")[1] for name in decoded}) == 1
 
 
 def test_colour_channels_trade_places_everywhere_at_once(split):

@@ -1,0 +1,86 @@
+"""A bounded folder of fetched files that any number of processes share."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+from filelock import FileLock
+
+from rfpp.errors import UserError
+
+
+@dataclass(frozen=True)
+class ShardCache:
+    """Keeps what was used last. Files are named by their content, so that they are never out of date.
+
+    Whoever has a file open keeps reading it when it is removed here: its space is freed when the last one closes it.
+
+    Args:
+        folder: made when it is needed; on a disk of the machine, or one that several share.
+        gigabytes: at most, besides what is being fetched at the moment.
+    """
+
+    folder: str | Path
+    gigabytes: int | float
+
+    def open(self, name: str, size: int, fetch: Callable[[Path], None]) -> int:
+        """A file descriptor of the file `name`, which `fetch` writes to the path it is given if it is not here.
+
+        Of several processes that want a file one fetches it.
+
+        Raises:
+            UserError: the folder cannot be written, or the file is larger than the cache; and what `fetch` raises.
+        """
+        if size > self.gigabytes * 1e9:
+            raise UserError(
+                f"{self.folder}: a file of {size} bytes does not fit: raise datamodule.cache.gigabytes={self.gigabytes}"
+            )
+        path = Path(self.folder) / name
+        try:
+            if (descriptor := _open_whole(path, size)) is not None:
+                return descriptor
+            path.parent.mkdir(parents=True, exist_ok=True)
+            # a few locks for all files, as removing a lock's file is not safe while others wait for it
+            with FileLock(path.with_name(f".{name[:2]}.lock")):
+                if (descriptor := _open_whole(path, size)) is not None:
+                    return descriptor
+                partial = path.with_name(f".{name}.part")
+                fetch(partial)
+                descriptor = os.open(partial, os.O_RDONLY)
+                os.replace(partial, path)
+            self._remove_oldest()
+        except OSError as error:
+            raise UserError(
+                f"{self.folder}: cannot be written ({error.strerror}): free space, lower datamodule.cache.gigabytes or "
+                "choose another datamodule.cache.folder"
+            ) from error
+        return descriptor
+
+    def _remove_oldest(self) -> None:
+        with FileLock(Path(self.folder) / ".room.lock"):
+            files = [(path.stat(), path) for path in Path(self.folder).glob("[!.]*")]
+            total = sum(stat.st_size for stat, _ in files)
+            for stat, path in sorted(files, key=lambda file: file[0].st_mtime_ns):
+                if total <= self.gigabytes * 1e9:
+                    break
+                path.unlink(missing_ok=True)
+                total -= stat.st_size
+
+
+def _open_whole(path: Path, size: int) -> int | None:
+    """A descriptor of the file if it is there in full; it counts as used."""
+    try:
+        descriptor = os.open(path, os.O_RDONLY)
+    except FileNotFoundError:
+        return None
+    if os.fstat(descriptor).st_size != size:  # a crash of the machine left it so
+        os.close(descriptor)
+        path.unlink(missing_ok=True)
+        return None
+    with suppress(FileNotFoundError):  # removed since, which harms nobody
+        os.utime(path)
+    return descriptor

@@ -1,0 +1,69 @@
+"""The order in which training meets its samples: a function of seed and epoch, computed as far as it is needed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from itertools import count
+
+import numpy as np
+
+
+class ShuffledOrder:
+    """Every sample once per epoch, epoch after epoch; who reads, and with how many processes, has no part in it.
+
+    Each epoch takes the shards in random order and shuffles the samples of `window` of them at a time, so that few
+    files are open and a remote shard is fetched once per epoch. Going on from any position costs no more than
+    shuffling one window.
+
+    Args:
+        sizes: samples in each shard.
+        seed: of the order.
+        window: shards that are mixed.
+
+    Raises:
+        ValueError: there is no sample, or no shard in a window.
+    """
+
+    def __init__(self, sizes: Sequence[int], seed: int, window: int) -> None:
+        if sum(sizes) < 1 or window < 1:
+            raise ValueError(f"{sum(sizes)} samples cannot be shuffled through windows of {window} shards")
+        self._ends = np.cumsum(sizes)
+        self._sizes = np.asarray(sizes)
+        self._seed = seed
+        self._window = window
+
+    def __len__(self) -> int:
+        """Samples in an epoch."""
+        return int(self._ends[-1])
+
+    def draws(self, start: int = 0) -> Iterator[tuple[int, int]]:
+        """(epoch, sample) without end, from the `start`-th on."""
+        first_epoch, position = divmod(start, len(self))
+        for epoch in count(first_epoch):
+            for sample in self._epoch(epoch, position):
+                yield epoch, sample
+            position = 0
+
+    def _epoch(self, epoch: int, position: int) -> Iterator[int]:
+        shards = self._rng(epoch, 0).permutation(len(self._sizes))
+        for number, first in enumerate(range(0, len(shards), self._window), start=1):
+            window = shards[first : first + self._window]
+            size = int(self._sizes[window].sum())
+            if position < size:
+                samples = np.concatenate([np.arange(self._ends[s] - self._sizes[s], self._ends[s]) for s in window])
+                yield from self._rng(epoch, number).permutation(samples)[position:].tolist()
+            position = max(0, position - size)
+
+    def _rng(self, epoch: int, part: int) -> np.random.Generator:
+        return np.random.default_rng(np.random.SeedSequence([self._seed, epoch], spawn_key=(part,)))
+
+
+def leading(sizes: Sequence[int], samples: int) -> list[int]:
+    """The sizes of the shards that hold the first so many samples, the last one's cut to them."""
+    kept = []
+    for size in sizes:
+        if samples <= 0:
+            break
+        kept.append(min(size, samples))
+        samples -= size
+    return kept

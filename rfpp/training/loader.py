@@ -1,0 +1,52 @@
+"""From a dataset of scenes to batches, and what is done about scenes that cannot be read."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+from torch.utils.data import DataLoader, Dataset
+
+from rfpp.batch import RaggedBatch, SceneViews
+from rfpp.errors import ShardError, UserError
+
+
+class SceneLoader(DataLoader):
+    """A DataLoader whose processes' errors arrive as they were raised: a line each, not a traceback as the message."""
+
+    def __iter__(self) -> Iterator[Any]:
+        try:
+            yield from super().__iter__()
+        except UserError as error:
+            _, in_worker, traceback = str(error).partition("Original Traceback")
+            if not in_worker:
+                raise
+            last_line = traceback.strip().splitlines()[-1]  # "rfpp.errors.ShardError: what is wrong"
+            raise type(error)(last_line.partition(": ")[2]) from error
+
+
+class SkippingCorrupt(Dataset):
+    """A dataset that warns of damaged scenes, once per process and scene, and gives None in their place.
+
+    Args:
+        scenes: raises ShardError, naming shard and scene, where it cannot read one.
+    """
+
+    def __init__(self, scenes: Dataset):
+        self.scenes = scenes
+
+    def __getitem__(self, draw: Any) -> SceneViews | None:
+        try:
+            return self.scenes[draw]
+        except ShardError as error:
+            warnings.warn(f"skipped: {error}", stacklevel=2)  # Python itself shows equal ones once
+            return None
+
+
+def pack_readable(scenes: Sequence[SceneViews | None]) -> RaggedBatch:
+    """A batch of the scenes that could be read. Raises ShardError when there is none."""
+    readable = [scene for scene in scenes if scene is not None]
+    if not readable:
+        raise ShardError(f"none of a batch's {len(scenes)} scenes can be read: see the warnings above")
+    return RaggedBatch.pack(readable)

@@ -1,0 +1,188 @@
+"""Data sets behind a URL: fetched once, kept within bounds, and every way it can fail says so."""
+
+import http.server
+import multiprocessing
+import os
+import shutil
+import threading
+from functools import partial
+from pathlib import Path
+
+import fsspec
+import numpy as np
+import pytest
+
+from rfpp.errors import MissingDependencyError, ShardError, UserError
+from rfpp.shards import store
+from rfpp.shards.cache import ShardCache
+from rfpp.shards.manifest import Manifest
+from rfpp.shards.stream import ShardSplit
+
+
+class Handler(http.server.SimpleHTTPRequestHandler):
+    """Serves a folder, and writes down what is asked of it; the first answers for names in `cut` end half-way."""
+
+    def do_GET(self):
+        name = self.path.rpartition("/")[2]
+        self.server.requests.append(name)
+        if self.server.cut.get(name, 0) > 0:
+            self.server.cut[name] -= 1
+            content = Path(self.translate_path(self.path)).read_bytes()
+            self.send_response(200)
+            self.send_header("Content-Length", str(len(content)))
+            self.end_headers()
+            self.wfile.write(content[: len(content) // 2])
+            return
+        super().do_GET()
+
+    def log_message(self, *_):
+        pass
+
+
+@pytest.fixture
+def server(finished):
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), partial(Handler, directory=str(finished.root))) as running:
+        running.requests, running.cut = [], {}
+        running.url = f"http://127.0.0.1:{running.server_port}"
+        thread = threading.Thread(target=running.serve_forever)
+        thread.start()
+        yield running
+        running.shutdown()
+        thread.join()
+
+
+@pytest.fixture
+def cache(tmp_path):
+    return ShardCache(tmp_path / "cache", gigabytes=1)
+
+
+@pytest.fixture(autouse=True)
+def impatient(monkeypatch):
+    monkeypatch.setattr(store, "_PAUSES", (0.0, 0.0))
+
+
+def cached(cache: ShardCache, pattern: str) -> list[str]:
+    """Without the hash in front."""
+    return sorted(path.name.partition("-")[2] for path in cache.folder.glob(pattern))
+
+
+def test_a_remote_data_set_reads_like_a_folder_and_each_file_is_fetched_once(server, finished, cache):
+    local, remote = ShardSplit(finished.root, "train"), ShardSplit(server.url, "train", cache)
+    assert remote.manifest.hash == finished.hash
+    assert server.requests == ["manifest.json"]
+    for index in (4, 0, 1, 4):
+        np.testing.assert_array_equal(remote[index].images, local[index].images)
+    remote.close()
+    assert remote[0].key == ShardSplit(server.url + "/", "train", cache)[0].key == "train-000000"
+    files = [name for name in server.requests if name != "manifest.json"]
+    assert sorted(files) == ["train-00000.json", "train-00000.tar", "train-00002.json", "train-00002.tar"]
+
+
+def test_any_file_system_of_fsspec_serves(finished, cache):
+    memory = fsspec.filesystem("memory")
+    memory.put(str(finished.root), "/small", recursive=True)
+    assert ShardSplit("memory://small", "test", cache)[1].key == "test-000001"
+    assert Manifest.load("memory://small", cache).samples("test") == finished.samples("test")
+
+
+def read_all(url: str, cache: ShardCache, results) -> None:
+    split = ShardSplit(url, "train", cache)
+    results.put([split[i].key for i in range(len(split))])
+
+
+def test_several_processes_fetch_a_shard_once(server, finished, cache):
+    context = multiprocessing.get_context("spawn")
+    results = context.Queue()
+    readers = [context.Process(target=read_all, args=(server.url, cache, results)) for _ in range(3)]
+    for reader in readers:
+        reader.start()
+    keys = [results.get(timeout=120) for _ in readers]
+    for reader in readers:
+        reader.join()
+    assert keys == 3 * [[entry.key for entry in finished.samples("train")]]
+    tars = [name for name in server.requests if name.endswith(".tar")]
+    assert sorted(tars) == [shard.file for shard in finished.shards("train")]
+
+
+def test_the_cache_keeps_what_was_used_last_and_harms_no_reader(server, finished, tmp_path):
+    sizes = [shard.bytes + shard.index_bytes for shard in finished.shards("train")]
+    cache = ShardCache(tmp_path / "cache", gigabytes=(sizes[0] + sizes[1] + 100) / 1e9)
+    split = ShardSplit(server.url, "train", cache)
+    first = split[0].images
+    split[2]
+    for name in cached(cache, "*00000*"):  # used again: now shard 1 is the oldest
+        os.utime(next(cache.folder.glob(f"*-{name}")))
+    split[4]
+    assert cached(cache, "*.tar") == ["train-00000.tar", "train-00002.tar"]
+    assert sum(path.stat().st_size for path in cache.folder.glob("[!.]*")) <= cache.gigabytes * 1e9
+    shutil.rmtree(cache.folder)
+    np.testing.assert_array_equal(split[0].images, first)
+    assert split[3].key == "train-000003"  # open files go on, though they are removed
+
+
+def test_a_file_larger_than_the_cache_is_refused(server, tmp_path):
+    with pytest.raises(UserError, match=r"does not fit: raise datamodule\.cache\.gigabytes"):
+        ShardSplit(server.url, "train", ShardCache(tmp_path, gigabytes=1e-7))[0]
+
+
+def test_a_half_written_copy_is_fetched_again(server, cache):
+    ShardSplit(server.url, "train", cache)[0]
+    path = next(cache.folder.glob("*.tar"))
+    os.truncate(path, 1000)
+    assert ShardSplit(server.url, "train", cache)[0].key == "train-000000"
+    assert server.requests.count("train-00000.tar") == 2
+
+
+def test_a_truncated_download_is_tried_again_then_named(server, cache):
+    server.cut["train-00000.tar"] = 2
+    assert ShardSplit(server.url, "train", cache)[0].key == "train-000000"
+    server.cut["train-00001.tar"] = 3
+    with pytest.raises(UserError, match=r"http.*train-00001\.tar: cannot be fetched after 3 attempts"):
+        ShardSplit(server.url, "train", cache)[2]
+    assert cached(cache, "*.tar") == ["train-00000.tar"]
+
+
+def test_a_shard_of_another_size_is_named(copied, cache):
+    with (copied / "train-00000.tar").open("ab") as file:
+        file.write(bytes(512))
+    with pytest.raises(ShardError, match=r"train-00000\.tar.*truncated or altered: \d+ bytes, the manifest says \d+"):
+        ShardSplit(f"file://{copied}", "train", cache)[0]
+
+
+def test_a_missing_shard_or_index_is_named(copied, cache):
+    (copied / "train-00000.tar").unlink()
+    (copied / "train-00001.json").unlink()
+    split = ShardSplit(f"file://{copied}", "train", cache)
+    with pytest.raises(ShardError, match=r"train-00000\.tar: the file is missing"):
+        split[0]
+    with pytest.raises(ShardError, match=r"train-00001\.json: the file is missing"):
+        split[2]
+    assert split[4].key == "train-000004"
+
+
+def test_damage_names_the_url_and_where_the_copy_lies(copied, cache):
+    content = bytearray((copied / "train-00000.tar").read_bytes())
+    content[5000] ^= 1
+    (copied / "train-00000.tar").write_bytes(content)
+    expected = r"file://.*train-00000\.tar: sample train-000000 .*sha256: delete \*-train-00000\.tar.*cache\.folder"
+    with pytest.raises(ShardError, match=expected):
+        ShardSplit(f"file://{copied}", "train", cache)[0]
+
+
+def test_no_data_no_server_no_library_no_cache_say_so(server, cache, finished):
+    with pytest.raises(ShardError, match=r"http.*nowhere/manifest\.json: there is no finished data set here"):
+        ShardSplit(f"{server.url}/nowhere", "train", cache)
+    with pytest.raises(UserError, match=r"http://127\.0\.0\.1:9/manifest\.json: cannot be fetched after 3 attempts"):
+        ShardSplit("http://127.0.0.1:9", "train", cache)
+    with pytest.raises(MissingDependencyError, match=r"s3://bucket/manifest\.json: Install s3fs"):
+        ShardSplit("s3://bucket", "train", cache)
+    with pytest.raises(UserError, match="Protocol not known: nonsense"):
+        ShardSplit("nonsense://x", "train", cache)
+    with pytest.raises(UserError, match=r"needs a cache: set datamodule\.cache"):
+        ShardSplit(server.url, "train")
+
+
+def test_a_cache_that_cannot_be_written_is_named(server, tmp_path):
+    (tmp_path / "file").touch()
+    with pytest.raises(UserError, match=r"file/cache: cannot be written \(Not a directory\)"):
+        ShardSplit(server.url, "train", ShardCache(tmp_path / "file" / "cache", 1))[0]
