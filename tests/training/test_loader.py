@@ -1,0 +1,227 @@
+"""Real loaders: the same batches for any number of ranks and workers, from any step on; damage stops or is counted."""
+
+import json
+import shutil
+from pathlib import Path
+from types import SimpleNamespace
+
+import lightning as L
+import numpy as np
+import pytest
+import torch
+from small_data import make
+from torch import nn
+
+from rfpp.errors import ShardError, UserError
+from rfpp.shards.cache import ShardCache
+from rfpp.shards.manifest import Manifest
+from rfpp.training.callbacks.skipped import SkippedScenes
+from rfpp.training.datamodule import SceneDataModule
+from rfpp.training.views import RigidAugmentation
+
+SCENES, PER_STEP, STEPS = 7, 4, 5  # two epochs and six scenes
+
+
+@pytest.fixture(scope="module")
+def root(tmp_path_factory):
+    splits = {"train": SCENES, "validation": 1}
+    return make(tmp_path_factory.mktemp("loader") / "small", splits=splits, scenes_per_shard=2).root
+
+
+def datamodule(root, rank: int = 0, ranks: int = 1, accumulate: int = 1, steps: int = STEPS, **change):
+    """A data module whose trainer is one of `ranks`."""
+    settings = {
+        "root": root, "cache": ShardCache("unused", 1.0), "gbuffer_channels": ("albedo",), "scenes_per_step": PER_STEP,
+        "views_per_scene": 1, "training_scenes": None, "validation_scenes": 1, "shuffle_shards": 2,
+        "skip_corrupt": False, "rigid_augmentation": RigidAugmentation(1.0, 0.25), "colour_augmentation": None,
+        "workers": 0, "seed": 5,
+    }  # fmt: skip
+    data = SceneDataModule(**{**settings, **change})
+    data.trainer = SimpleNamespace(
+        world_size=ranks, global_rank=rank, max_steps=steps, accumulate_grad_batches=accumulate, global_step=0,
+        strategy=SimpleNamespace(root_device=torch.device("cpu")),
+    )  # fmt: skip
+    return data
+
+
+def global_batches(root, ranks: int = 1, **how) -> list[list[tuple[str, bytes]]]:
+    """The scenes of each global batch: their keys, and what is seen of them."""
+    parts = [list(datamodule(root, rank, ranks, **how).train_dataloader()) for rank in range(ranks)]
+    return [
+        [
+            (key, pose.numpy().tobytes() + image.numpy().tobytes())
+            for batch in shares
+            for key, pose, image in zip(batch.keys, batch.c2w, batch.image, strict=True)
+        ]
+        for shares in zip(*parts, strict=True)
+    ]
+
+
+@pytest.fixture(scope="module")
+def uninterrupted(root):
+    return global_batches(root)
+
+
+def test_each_scene_comes_once_per_epoch(uninterrupted):
+    keys = [key for batch in uninterrupted for key, _ in batch]
+    assert len(keys) == STEPS * PER_STEP
+    assert len(set(keys[:SCENES])) == len(set(keys[SCENES : 2 * SCENES])) == SCENES
+    assert keys[:SCENES] != keys[SCENES : 2 * SCENES]
+
+
+@pytest.mark.filterwarnings("ignore:This DataLoader will create")
+@pytest.mark.parametrize(("ranks", "workers"), [(2, 0), (4, 0), (1, 1), (1, 3), (2, 1)])
+def test_batches_are_the_same_for_any_number_of_ranks_and_workers(root, uninterrupted, ranks, workers):
+    assert global_batches(root, ranks, workers=workers) == uninterrupted
+
+
+@pytest.mark.parametrize("step", range(STEPS + 1))
+def test_resuming_at_any_step_gives_the_rest(root, uninterrupted, step):
+    before = datamodule(root)
+    before.trainer.global_step = step
+    state = json.loads(json.dumps(before.state_dict()))
+    for ranks in (1, 2):
+        parts = []
+        for rank in range(ranks):
+            after = datamodule(root, rank, ranks)
+            after.load_state_dict(state)
+            parts.append([batch.keys for batch in after.train_dataloader()])
+        keys = [[key for share in shares for key in share] for shares in zip(*parts, strict=True)]
+        assert keys == [[key for key, _ in batch] for batch in uninterrupted[step:]]
+
+
+def test_the_position_counts_every_batch_of_a_step(root):
+    data = datamodule(root, accumulate=3)
+    data.trainer.global_step = 2
+    assert data.state_dict()["batches"] == 6
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        ({"seed": 6}, "seed=5, this one 6"),
+        ({"scenes_per_step": 2}, "datamodule.scenes_per_step=4, this one 2"),
+        ({"shuffle_shards": 1}, "datamodule.shuffle_shards=2, this one 1"),
+        ({"training_scenes": 3}, "datamodule.training_scenes=None, this one 3"),
+    ],
+)
+def test_a_run_with_another_order_is_not_resumed(root, change, named):
+    with pytest.raises(UserError, match=f"the run to resume had {named}"):
+        datamodule(root, **change).load_state_dict(datamodule(root).state_dict())
+
+
+def test_only_the_first_scenes_are_trained_on(root):
+    keys = {key for batch in global_batches(root, training_scenes=3) for key, _ in batch}
+    assert keys == {"train-000000", "train-000001", "train-000002"}
+
+
+def damaged(root: Path, target: Path, *keys: str) -> Path:
+    """A copy in which a byte of each of these scenes is flipped."""
+    shutil.copytree(root, target)
+    manifest = Manifest.load(target)
+    for shard in manifest.shards("train"):
+        content = bytearray((target / shard.file).read_bytes())
+        for entry in manifest.index(shard).samples:
+            if entry.key in keys:
+                content[entry.offset + entry.size // 2] ^= 1
+        (target / shard.file).write_bytes(content)
+    return target
+
+
+@pytest.mark.parametrize("workers", [0, 1])
+def test_training_stops_at_damage_with_one_line_that_names_it(root, tmp_path, workers):
+    bad = damaged(root, tmp_path / "bad", "train-000003")
+    with pytest.raises(ShardError) as stop:
+        global_batches(bad, workers=workers)
+    assert "train-00001.tar: sample train-000003 does not have the recorded sha256: delete" in str(stop.value)
+    assert "\n" not in str(stop.value)
+    assert str(stop.value).startswith(str(bad))
+
+
+def test_damaged_scenes_are_left_out_and_nothing_takes_their_place(root, tmp_path, uninterrupted):
+    bad = damaged(root, tmp_path / "bad", "train-000003", "train-000006")
+    with pytest.warns(UserWarning, match="skipped: .*train-0000.*sha256") as warned:
+        batches = global_batches(bad, skip_corrupt=True)
+    intact = [[(k, v) for k, v in batch if k not in ("train-000003", "train-000006")] for batch in uninterrupted]
+    assert batches == intact
+    assert len({str(w.message) for w in warned}) == 2
+
+
+def test_a_missing_and_a_truncated_shard_are_left_out_too(root, tmp_path, uninterrupted):
+    bad = Path(shutil.copytree(root, tmp_path / "bad"))
+    (bad / "train-00000.tar").unlink()
+    (bad / "train-00001.tar").write_bytes((bad / "train-00001.tar").read_bytes()[:-1])
+    with pytest.raises(ShardError, match=r"train-00000\.tar: the shard is missing"):
+        global_batches(bad)
+    with pytest.warns(UserWarning, match="skipped"):
+        keys = [key for batch in global_batches(bad, skip_corrupt=True) for key, _ in batch]
+    gone = {f"train-00000{i}" for i in range(4)}
+    assert keys == [key for batch in uninterrupted for key, _ in batch if key not in gone]
+
+
+def test_a_batch_with_nothing_left_is_an_error(root, tmp_path):
+    bad = damaged(root, tmp_path / "bad", *(f"train-00000{i}" for i in range(SCENES)))
+    nothing_left = pytest.raises(ShardError, match="none of a batch's 4 scenes can be read")
+    with nothing_left, pytest.warns(UserWarning, match="skipped"):
+        global_batches(bad, skip_corrupt=True)
+
+
+class Learner(L.LightningModule):
+    """Learns one number, and remembers what it saw."""
+
+    def __init__(self):
+        super().__init__()
+        self.weight = nn.Parameter(torch.zeros(()))
+        self.seen: list[tuple[str, ...]] = []
+
+    def training_step(self, batch, _):
+        self.seen.append(batch.keys)
+        return (self.weight - batch.image.mean()) ** 2
+
+    def configure_optimizers(self):
+        return torch.optim.SGD(self.parameters(), 0.1)
+
+
+class SaveAt(L.Callback):
+    """Saves a checkpoint after so many steps."""
+
+    def __init__(self, step: int, path: Path):
+        self.step, self.path = step, path
+
+    def on_train_batch_end(self, trainer, *_):
+        if trainer.global_step == self.step and not self.path.exists():
+            trainer.save_checkpoint(self.path)
+
+
+def fit(root, steps: int, *callbacks: L.Callback, checkpoint: Path | None = None, accumulate: int = 1, **change):
+    """Train with Lightning; returns the module and what it logged last."""
+    module, data = Learner(), datamodule(root, **change)
+    data.trainer = None
+    trainer = L.Trainer(
+        max_steps=steps, accumulate_grad_batches=accumulate, callbacks=list(callbacks), accelerator="cpu",
+        logger=False, enable_checkpointing=False, enable_progress_bar=False, enable_model_summary=False,
+        use_distributed_sampler=False, limit_val_batches=0,
+    )  # fmt: skip
+    trainer.fit(module, data, ckpt_path=checkpoint, weights_only=True)
+    return module, trainer.callback_metrics
+
+
+@pytest.mark.filterwarnings("ignore::UserWarning")
+@pytest.mark.parametrize("accumulate", [1, 2])
+@pytest.mark.parametrize("planned", [2, 4])  # the run ended there; it was stopped in the middle
+def test_lightning_goes_on_where_the_checkpoint_was_taken(root, tmp_path, accumulate, planned):
+    whole, _ = fit(root, 4, accumulate=accumulate)
+    fit(root, planned, SaveAt(2, tmp_path / "2.ckpt"), accumulate=accumulate)
+    resumed, _ = fit(root, 4, checkpoint=tmp_path / "2.ckpt", accumulate=accumulate)
+    assert resumed.seen == whole.seen[2 * accumulate :]
+    assert len(whole.seen) == 4 * accumulate
+    np.testing.assert_allclose(resumed.weight.item(), whole.weight.item(), rtol=1e-6)
+
+
+@pytest.mark.filterwarnings("ignore::UserWarning")
+def test_skipped_scenes_are_counted_in_the_log(root, tmp_path, uninterrupted):
+    bad = damaged(root, tmp_path / "bad", "train-000003")
+    module, logged = fit(bad, STEPS, SkippedScenes(), skip_corrupt=True)
+    expected = sum(key == "train-000003" for batch in uninterrupted for key, _ in batch)
+    assert logged["data/skipped"] == expected >= 2
+    assert sum(map(len, module.seen)) == STEPS * PER_STEP - expected
