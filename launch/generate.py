@@ -1,90 +1,161 @@
 """Make a data set: random scenes → Blender Cycles and G-buffers → WebDataset shards.
 
     python launch/generate.py +experiment=quickstart
+    python launch/generate.py +experiment=large_scale preview=16
+    python launch/generate.py +experiment=quickstart action=show sample=train-000012
 
-Run the same command again after an interruption: finished shards are kept.
+Run the same command again after an interruption: nothing that was rendered is lost. Other actions: `merge` joins slices
+that were made apart, `status` says what is missing, `verify` hashes and decodes everything, `prepare` only reads the
+object library in, `reproduce` makes one sample alone, `show` draws one, `export` writes one for other programs.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
 
+import numpy as np
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, Task, TextColumn, TimeRemainingColumn
 
-from rfpp.entry import entry_point
-from rfpp.errors import UserError
-from rfpp.shards.generation import generate
-from rfpp.shards.job import DatasetSettings
+from rfpp.entry import entry_point, required
+from rfpp.errors import ShardError, UserError
+from rfpp.panels import save_png
+from rfpp.progress import counting
+from rfpp.shards.export import export
+from rfpp.shards.generation import make, merge
 from rfpp.shards.manifest import Manifest
+from rfpp.shards.pictures import contact_sheet, sample_panel
+from rfpp.shards.recipe import Recipe, Slice
+from rfpp.shards.sample import SceneSample, decode
+from rfpp.shards.status import Status, status
+from rfpp.shards.stream import find_sample
+from rfpp.shards.tar import unpack
+from rfpp.shards.verification import verify
 
 
 @entry_point("generate")
-def main(cfg: DictConfig) -> Manifest:
-    """Make what is missing of the data set `cfg.data`; returns its manifest."""
-    console = Console()
-    data: DatasetSettings = instantiate(cfg.data, _convert_="all")
-    settings = {group: OmegaConf.to_container(cfg[group], resolve=True) for group in ("scene", "reference")}
-    console.print(f"Data set '{data.name}' → {data.root}", highlight=False, soft_wrap=True)
+def main(cfg: DictConfig) -> Any:
+    """Do `cfg.action` with the data set `cfg.data`; returns what the action makes."""
+    console = Console(highlight=False, soft_wrap=True)
+    if cfg.preview:
+        return _preview(cfg, console)
+    if cfg.action not in ACTIONS:
+        raise UserError(f"action={cfg.action} does not exist: choose from {', '.join(ACTIONS)}")
+    return ACTIONS[cfg.action](cfg, console)
+
+
+def _recipe(cfg: DictConfig) -> Recipe:
+    groups = {group: OmegaConf.to_container(cfg[group], resolve=True) for group in ("scene", "reference")}
+    data = instantiate(cfg.data, _convert_="all")
+    return Recipe.of_scenes(instantiate(cfg.scene, _convert_="all"), instantiate(cfg.reference), data, groups)
+
+
+def _make(cfg: DictConfig, console: Console) -> Manifest | None:
+    recipe, part = _recipe(cfg), Slice(**cfg.slice)
+    console.print(f"Data set '{recipe.name}' → {recipe.root}")
     begin = time.perf_counter()
     try:
-        with _bar(console, data.views) as bar:
-            manifest = generate(instantiate(cfg.scene), instantiate(cfg.reference), data, settings, bar.show)
+        with counting(console, "images", recipe.views) as (show, count), instantiate(cfg.farm) as farm:
+            make(recipe, farm, show, part)
     except KeyboardInterrupt:
         raise UserError("interrupted: run the same command again to go on, finished scenes are kept") from None
-    if bar.made == 0:
-        console.print(
-            f"Nothing to do: all {manifest.counts['scenes']} scenes are there.", highlight=False, soft_wrap=True
-        )
+    if count.made:
+        console.print(f"Made {count.made} scenes in {time.perf_counter() - begin:.0f} s.")
     else:
-        console.print(_summary(manifest, bar.made, time.perf_counter() - begin), highlight=False, soft_wrap=True)
+        console.print(f"Nothing to do: all {count.total} scenes are there.")
+    if part.count > 1:
+        console.print(f"Slice {part.index} of {part.count} is finished; when all are, join them with action=merge.")
+        return None
+    return _merge(cfg, console)
+
+
+def _merge(cfg: DictConfig, console: Console) -> Manifest:
+    manifest = merge(_recipe(cfg))
+    counts = manifest.counts
+    console.print(
+        f"In all: {counts['scenes']} scenes, {counts['images']} images, {counts['triangles']} triangles, "
+        f"{counts['bytes'] / 1e6:.0f} MB; drawn anew: {counts['scene_redraws']} scenes, {counts['empty_views']} views "
+        f"that saw too little, {counts['unlit_views']} too little light.\n"
+        f"Manifest {manifest.hash[:12]}: {manifest.root}/manifest.json"
+    )
     return manifest
 
 
-class _ImageBar:
-    """A progress bar that counts images, shown if any are missing."""
-
-    def __init__(self, progress: Progress, views: int) -> None:
-        self._progress = progress
-        self._views = views
-        self._task = None
-        self._done_before = 0
-        self.made = 0
-
-    def show(self, done: int, total: int) -> None:
-        if self._task is None:
-            self._done_before = done
-            images = {"total": total * self._views, "before": done * self._views}
-            self._task = self._progress.add_task("images", visible=done < total, **images)
-        self.made = done - self._done_before
-        self._progress.update(self._task, completed=done * self._views)
+def _status(cfg: DictConfig, console: Console) -> Status:
+    found = status(_recipe(cfg))
+    for split, of in found.splits.items():
+        console.print(
+            f"{split:15} {of.finished_shards:5} of {of.shards} shards, {of.finished_scenes + of.waiting_scenes:7} of "
+            f"{of.scenes} scenes" + f", {len(of.failures)} failed" * bool(of.failures)
+        )
+        for key, error in of.failures.items():
+            console.print(f"  {key}: {error}", markup=False)
+    if left := found.slices(cfg.slice.count):
+        console.print(f"Left to make: slices {', '.join(map(str, left))} of {cfg.slice.count}.")
+    else:
+        console.print("Complete." if found.is_merged else "All shards are there: join them with action=merge.")
+    return found
 
 
-class _ImagesPerSecond(ProgressColumn):
-    def render(self, task: Task) -> str:
-        made = task.completed - task.fields["before"]
-        return f"{made / task.elapsed:.1f} images/s" if made and task.elapsed else "starting"
+def _verify(cfg: DictConfig, console: Console) -> None:
+    with counting(console, "shards") as (show, _), instantiate(cfg.farm) as farm:
+        problems = verify(Path(cfg.data.root), farm, show)
+    for problem in problems:
+        console.print(problem, markup=False)
+    if problems:
+        raise ShardError(f"{cfg.data.root}: {len(problems)} problems, listed above: mend them and verify again")
+    console.print(f"{cfg.data.root}: every byte and every sample is as its manifest says.")
 
 
-@contextmanager
-def _bar(console: Console, views: int) -> Iterator[_ImageBar]:
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), _ImagesPerSecond())
-    with Progress(*columns, TimeRemainingColumn(), console=console) as progress:
-        yield _ImageBar(progress, views)
+def _reproduce(cfg: DictConfig, console: Console) -> SceneSample:
+    """In this very process, so that a failure shows its whole traceback."""
+    recipe = _recipe(cfg)
+    task = recipe.task(required(cfg, "sample"))
+    key, members = unpack(recipe.job(task).blocks)
+    return _shown(decode(key, members), cfg, console)
 
 
-def _summary(manifest: Manifest, made: int, seconds: float) -> str:
-    counts = manifest.counts
-    return (
-        f"Made {made} scenes in {seconds:.0f} s. In all: {counts['scenes']} scenes, {counts['images']} images, "
-        f"{counts['triangles']} triangles, {counts['bytes'] / 1e6:.0f} MB; redrawn: {counts['scene_redraws']} scenes, "
-        f"{counts['empty_views']} views of too little surface, {counts['unlit_views']} of too little light.\n"
-        f"Manifest {manifest.hash[:12]}: {manifest.root}/manifest.json"
-    )
+def _show(cfg: DictConfig, console: Console) -> SceneSample:
+    return _shown(find_sample(Path(cfg.data.root), required(cfg, "sample")), cfg, console)
+
+
+def _shown(sample: SceneSample, cfg: DictConfig, console: Console) -> SceneSample:
+    console.print(f"Written: {save_png(sample_panel(sample), Path(cfg.output) / f'{sample.key}.png')}")
+    return sample
+
+
+def _export(cfg: DictConfig, console: Console) -> list[Path]:
+    files = export(find_sample(Path(cfg.data.root), required(cfg, "sample")), cfg.format, Path(cfg.output))
+    console.print("Written: " + ", ".join(map(str, files)))
+    return files
+
+
+def _preview(cfg: DictConfig, console: Console) -> Path:
+    """Random scenes to look at before anything is paid for."""
+    family = instantiate(cfg.scene, _convert_="all")
+    with counting(console, "scenes") as (show, _):
+        scenes = []
+        for index in range(cfg.preview):
+            rngs = (np.random.default_rng([cfg.data.seed, index, stream]) for stream in range(2))
+            scenes.append(family.sample(*rngs, held_out=False))
+            show(index + 1, cfg.preview)
+    path = save_png(contact_sheet(scenes, 256), Path(cfg.output) / f"{cfg.scene.name}_preview.png")
+    console.print(f"Written: {path}")
+    return path
+
+
+ACTIONS = {
+    "make": _make,
+    "merge": _merge,
+    "status": _status,
+    "verify": _verify,
+    "show": _show,
+    "export": _export,
+    "reproduce": _reproduce,
+}
 
 
 if __name__ == "__main__":

@@ -5,6 +5,7 @@ from concurrent.futures import ProcessPoolExecutor
 
 import pytest
 import torch
+from slurm_cluster import SlurmCluster
 
 torch.set_num_threads(1)  # two threads on busy cores stall each other
 
@@ -14,3 +15,14 @@ def in_blender():
     """`in_blender(function, *args)` runs an importable function in a spawned process, where bpy may live."""
     with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as worker:
         yield lambda function, *args: worker.submit(function, *args).result(timeout=300)
+
+
+@pytest.fixture(scope="session")
+def slurm(tmp_path_factory):
+    """A running Slurm with one node."""
+    cluster = SlurmCluster(tmp_path_factory.mktemp("slurm"))
+    try:
+        cluster.start()
+        yield cluster
+    finally:
+        cluster.stop()

@@ -6,11 +6,14 @@ from pathlib import Path
 import numpy as np
 
 from rfpp.reference.cycles import CyclesSettings
+from rfpp.reference.farm import RenderFarm
 from rfpp.scene.mesh import Mesh
 from rfpp.scene.spec import Camera, Material, Scene, SceneObject, Transform
+from rfpp.shards.acceptance import Acceptance
 from rfpp.shards.generation import generate
 from rfpp.shards.job import DatasetSettings
 from rfpp.shards.manifest import Manifest
+from rfpp.shards.recipe import Recipe
 
 FLOOR = Mesh(np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]), np.array([[0, 1, 2], [0, 2, 3]]))
 LIGHT = Mesh(np.array([[-0.03, 0, 2], [0.03, 0, 2], [0, 0.05, 2]]), np.array([[0, 2, 1]]))
@@ -28,23 +31,29 @@ REFERENCE = CyclesSettings(
 
 @dataclass(frozen=True)
 class BoxFamily:
-    """A peak of random place and colour on a floor; some cameras of some scenes look into the void."""
+    """A peak of random place and colour on a floor; some cameras look into the void, some scenes are dark."""
 
     views: int = 2
     looks_away: float = 0.0  # probability per camera
+    night: float = 0.0  # probability per scene
+    name: str = "boxes"
 
     def sample(self, scene_rng, camera_rng, *, held_out) -> Scene:
         fixed = Transform(normalize=False)
         place = Transform(normalize=False, translation=tuple(scene_rng.uniform(-0.2, 0.2, 3)))
         colour = Material(diffuse=tuple(scene_rng.uniform(0, 0.8, 3)), specular=(0.1,) * 3, roughness=0.5)
         grey = Material(diffuse=(0.5,) * 3, specular=(0.2,) * 3, roughness=0.3, smooth_shading=True)
-        lamp = Material(diffuse=(1.0,) * 3, specular=(0.0,) * 3, roughness=1.0, emissive=(3000.0,) * 3)
+        power = 0.001 if scene_rng.random() < self.night else 3000.0
+        lamp = Material(diffuse=(1.0,) * 3, specular=(0.0,) * 3, roughness=1.0, emissive=(power,) * 3)
         parts = [("floor", FLOOR, grey, fixed), ("peak", PEAK, colour, place), ("light", LIGHT, lamp, fixed)]
         return Scene(
-            name="boxes",
+            name=self.name,
             objects=tuple(SceneObject(name=n, mesh=m, material=a, transform=t) for n, m, a, t in parts),
-            cameras=tuple(self._camera(camera_rng) for _ in range(self.views)),
+            cameras=self.sample_cameras(scene_rng, camera_rng),
         )
+
+    def sample_cameras(self, scene_rng, camera_rng) -> tuple[Camera, ...]:
+        return tuple(self._camera(camera_rng) for _ in range(self.views))
 
     def _camera(self, rng) -> Camera:
         away = rng.uniform() < self.looks_away
@@ -73,16 +82,6 @@ class Interrupting:
 
 
 @dataclass(frozen=True)
-class Nighttime:
-    """`invented`, but scenes with red below `below` come out black."""
-
-    below: float
-
-    def __call__(self, triangles, *args) -> np.ndarray:
-        return invented(triangles, *args) * (triangles.material[2, 0] >= self.below)
-
-
-@dataclass(frozen=True)
 class Constant:
     """The same radiance everywhere."""
 
@@ -92,16 +91,24 @@ class Constant:
         return np.full((len(c2w), height, width, 3), self.value, np.float32)
 
 
+ACCEPTANCE = Acceptance(
+    resolution=8, light_samples=1, min_coverage=0.4, min_lit=0.3, min_radiance=0.01, camera_attempts=20,
+    scene_attempts=10,
+)  # fmt: skip
+
 SETTINGS = DatasetSettings(
     name="small", root="", seed=7, resolution=8, views=2, light_samples=2,
-    splits={"train": 5, "train_newviews": 3, "test": 2}, scenes_per_shard=2, workers=1, min_coverage=0.4,
-    min_radiance=0.01, camera_attempts=20, scene_attempts=10,
+    splits={"train": 5, "train_newviews": 3, "test": 2}, scenes_per_shard=2, acceptance=ACCEPTANCE,
 )  # fmt: skip
 
 
-def make(
-    root: Path, family=None, render=invented, progress=lambda done, total: None, settings=None, **data
-) -> Manifest:
-    """`generate` into `root`, with `data` replacing some of SETTINGS."""
+def recipe(root: Path, family=None, render=invented, groups=None, reference=REFERENCE, **data) -> Recipe:
+    """For a data set in `root`, with `data` replacing some of SETTINGS."""
     dataset = replace(SETTINGS, root=str(root), **data)
-    return generate(family or BoxFamily(), REFERENCE, dataset, settings or {"scene": "boxes"}, progress, render)
+    return Recipe.of_scenes(family or BoxFamily(), reference, dataset, groups or {"scene": "boxes"}, render)
+
+
+def make(root: Path, *args, progress=lambda done, total: None, workers=1, **kwargs) -> Manifest:
+    """The finished data set of `recipe(root, ...)`."""
+    with RenderFarm(workers) as farm:
+        return generate(recipe(root, *args, **kwargs), farm, progress)

@@ -22,7 +22,7 @@ from rfpp.gbuffer import ggx
 from rfpp.gbuffer.first_hit import DirectLight, GBuffer, camera_positions
 from rfpp.gbuffer.light_sampler import LightSampler
 from rfpp.gbuffer.polygon_light import form_factor
-from rfpp.scene.triangles import ROUGHNESS, SPECULAR, SceneTriangles
+from rfpp.scene.triangles import DIFFUSE, ROUGHNESS, SPECULAR, SceneTriangles
 
 #: Pairs of a point and a sample (or an emitting triangle) worked on at a time, which bounds the memory.
 _CHUNK = 1 << 18
@@ -73,6 +73,16 @@ def with_direct_light(
         parts = [_gather(sampler, surface.part(r), shifts[r], samples) for r in rows]
         maps[:, gbuffer.hit] = np.concatenate(parts, axis=1)
     return replace(gbuffer, light=DirectLight(*maps))
+
+
+def direct_radiance(gbuffer: GBuffer, material: Float[np.ndarray, "m 10"]) -> Float[np.ndarray, "h w 3"]:
+    """Outgoing radiance of the direct light in a G-buffer that holds it: diffuse plus glossy.
+
+    Args:
+        material: [M, 10] of the same triangles (`SceneTriangles.material`).
+    """
+    seen = material[gbuffer.triangle] * gbuffer.hit[..., None]
+    return gbuffer.light.diffuse * seen[..., DIFFUSE] + gbuffer.light.glossy * seen[..., SPECULAR]
 
 
 def _gather(

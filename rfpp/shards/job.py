@@ -1,25 +1,26 @@
-"""Making one sample: draw a scene, check what its cameras see, render, check the light, pack."""
+"""Making one sample: draw a scene, check what its cameras see and how it is lit, render, pack."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
 from rfpp.errors import SceneError, UserError
 from rfpp.gbuffer.direct_light import with_direct_light
-from rfpp.gbuffer.first_hit import GBuffer, camera_caster, first_hit
-from rfpp.gbuffer.light_sampler import LightSampler
-from rfpp.gbuffer.raycast import RayCaster
+from rfpp.gbuffer.first_hit import GBuffer, first_hit
 from rfpp.reference.cycles import CyclesSettings
-from rfpp.scene.camera import camera_to_world
+from rfpp.scene.packed import poses
 from rfpp.scene.spec import Camera, Scene
 from rfpp.scene.triangles import SceneTriangles
+from rfpp.shards import tar
+from rfpp.shards.acceptance import EMPTY, UNLIT, Acceptance, Stage
 from rfpp.shards.sample import SceneSample, encode
-from rfpp.shards.tar import pack
 
 #: Part of every seed: never renumber. `train_newviews` shows training scenes to other cameras.
 SPLIT_CODES = {"train": 0, "train_newviews": 1, "test": 2, "validation": 3}
@@ -30,7 +31,11 @@ _ROLES = {"scene": 0, "cameras": 1, "render": 2, "light": 3}
 class SceneSource(Protocol):
     """Draws scenes: geometry, materials and lights from one rng, cameras from the other; test scenes are held out."""
 
+    name: str
+
     def sample(self, scene_rng: np.random.Generator, camera_rng: np.random.Generator, *, held_out: bool) -> Scene: ...
+
+    def sample_cameras(self, scene_rng: np.random.Generator, camera_rng: np.random.Generator) -> tuple[Camera, ...]: ...
 
 
 @dataclass(frozen=True)
@@ -46,11 +51,7 @@ class DatasetSettings:
         light_samples: shadow rays per light and pixel of the G-buffers' direct light.
         splits: scenes in each split of `SPLIT_CODES`; "train_newviews" are the first training scenes, other cameras.
         scenes_per_shard: scenes in one tar.
-        workers: render processes; 0 is one per core.
-        min_coverage: a camera that sees surfaces in less than this share of its pixels is redrawn.
-        min_radiance: a scene whose images are darker than this in the mean is drawn anew.
-        camera_attempts: draws of a camera, before its scene is drawn anew.
-        scene_attempts: draws of a scene, before it counts as failed.
+        acceptance: which views are rendered.
     """
 
     name: str
@@ -61,20 +62,14 @@ class DatasetSettings:
     light_samples: int
     splits: Mapping[str, int]
     scenes_per_shard: int
-    workers: int
-    min_coverage: float
-    min_radiance: float
-    camera_attempts: int
-    scene_attempts: int
+    acceptance: Acceptance
 
     def __post_init__(self) -> None:
-        for name in ("resolution", "views", "light_samples", "scenes_per_shard", "camera_attempts", "scene_attempts"):
+        for name in ("resolution", "views", "light_samples", "scenes_per_shard"):
             if getattr(self, name) < 1:
                 raise UserError(f"data.{name} is {getattr(self, name)}: use 1 or more")
         if self.seed < 0:
             raise UserError(f"data.seed is {self.seed}: use 0 or more")
-        if not 0 <= self.min_coverage <= 1:
-            raise UserError(f"data.min_coverage is {self.min_coverage}: use 0 to 1")
         if unknown := set(self.splits) - set(SPLIT_CODES):
             raise UserError(f"data.splits.{min(unknown)} does not exist: choose from {', '.join(SPLIT_CODES)}")
         if negative := [split for split, count in self.splits.items() if count < 0]:
@@ -83,18 +78,17 @@ class DatasetSettings:
             raise UserError("data.splits.train_newviews is larger than data.splits.train, whose scenes it shows")
 
     def content(self) -> dict[str, Any]:
-        """What the samples depend on: not the place, the amount or the number of workers."""
-        others = ("name", "root", "splits", "workers")
-        return {f.name: getattr(self, f.name) for f in dataclasses.fields(self) if f.name not in others}
+        """What the samples depend on: neither the place nor the amount."""
+        values = dataclasses.asdict(self)
+        return {name: value for name, value in values.items() if name not in ("name", "root", "splits")}
 
 
 @dataclass(frozen=True)
 class SceneTask:
-    """One sample to make. `scene_attempt` pins the draw of the scene, else it is the first acceptable one."""
+    """One sample to make."""
 
     split: str
     index: int
-    scene_attempt: int | None = None
 
     @property
     def key(self) -> str:
@@ -122,6 +116,8 @@ class MadeScene:
 class SceneJob:
     """Makes samples; picklable, so that worker processes can run it.
 
+    A sample depends on its task and these attributes alone, whoever makes it, and after whatever others.
+
     Attributes:
         family: where scenes come from.
         reference: Cycles settings; the noise seed is replaced by one per sample.
@@ -137,67 +133,58 @@ class SceneJob:
     render: Callable[..., np.ndarray]
 
     def __call__(self, task: SceneTask) -> MadeScene:
-        """Draw until cameras see enough and the images are lit. Raises SceneError when the attempts run out.
+        """Draw until the views are good, then render. Raises SceneError when the attempts run out."""
+        refused: Counter[str] = Counter()
+        attempt, stage, cameras = self._accepted(
+            task, task.scene_split, range(self.data.acceptance.scene_attempts), refused
+        )
+        if task.split != task.scene_split:  # the scene is the one that was accepted there; its new views count here
+            refused.clear()
+            attempt, stage, cameras = self._accepted(task, task.split, [attempt], refused)
+        triangles, (c2w, fov) = stage.triangles, poses(cameras)
+        images = self._render(task, attempt, triangles, c2w, fov)
+        redraws = {"scene_redraws": attempt, EMPTY: refused[EMPTY], UNLIT: refused[UNLIT]}
+        sample = SceneSample(
+            key=task.key,
+            triangles=triangles,
+            c2w=c2w,
+            fov=fov,
+            images=images,
+            gbuffers=self._gbuffers(task, attempt, stage, c2w, fov),
+            meta=self._meta(task, cameras, redraws),
+        )
+        return MadeScene(tar.pack(task.key, encode(sample)), len(triangles), triangles.num_objects, **redraws)
 
-        A pinned scene was accepted before: what its new cameras see counts, its brightness does not.
-        """
-        pinned = task.scene_attempt is not None
-        empty_views = 0
-        for attempt in [task.scene_attempt] if pinned else range(self.data.scene_attempts):
-            scene, gbuffers, rejected = self._draw(task, attempt)
-            empty_views += rejected
-            if len(gbuffers) < self.data.views:
-                continue
-            triangles = SceneTriangles.from_scene(scene)
-            c2w = np.stack([camera_to_world(camera) for camera in scene.cameras])
-            fov = np.array([camera.fov for camera in scene.cameras], np.float32)
-            images = self._render(task, attempt, triangles, c2w, fov)
-            if pinned or not images.mean() < self.data.min_radiance:  # NaN goes on, to be reported by `encode`
-                redraws = {"scene_redraws": attempt, "empty_views": empty_views, "unlit_views": 0}
-                lit = self._with_light(task, attempt, triangles, gbuffers, c2w, fov)
-                sample = SceneSample(task.key, triangles, c2w, fov, images, lit, self._meta(task, scene, redraws))
-                return _packed(sample, redraws)
+    def _accepted(
+        self, task: SceneTask, split: str, attempts: Iterable[int], refused: Counter[str]
+    ) -> tuple[int, Stage, tuple[Camera, ...]]:
+        """The first of these draws of the scene whose views, as `split` shows them, are all good, and those views."""
+        for attempt in attempts:
+            rngs = self._rngs(task, split, attempt, camera_attempt=0)
+            stage = Stage(SceneTriangles.from_scene(self.family.sample(*rngs, held_out=task.scene_split == "test")))
+            cameras = self.data.acceptance.cameras(stage, partial(self._cameras, task, split, attempt), refused)
+            if cameras is not None:
+                return attempt, stage, cameras
+        acceptance = self.data.acceptance
         raise SceneError(
-            f"{task.key}: no acceptable views in {self.data.scene_attempts} scenes x {self.data.camera_attempts} "
-            "camera draws: lower data.min_coverage or data.min_radiance, or allow more attempts"
+            f"{task.key}: no acceptable views in {acceptance.scene_attempts} scenes x {acceptance.camera_attempts} "
+            f"camera draws ({refused[EMPTY]} saw too little, {refused[UNLIT]} too little light): lower "
+            "data.acceptance.min_coverage, min_lit or min_radiance, or allow more attempts"
         )
 
-    def _draw(self, task: SceneTask, attempt: int) -> tuple[Scene, tuple[GBuffer, ...], int]:
-        """A scene whose cameras were each redrawn until they see enough, what they see, and the number of redraws.
+    def _cameras(self, task: SceneTask, split: str, attempt: int, camera_attempt: int) -> tuple[Camera, ...]:
+        cameras = self.family.sample_cameras(*self._rngs(task, split, attempt, camera_attempt))
+        if len(cameras) != self.data.views:
+            raise UserError(f"the scene family draws {len(cameras)} cameras, data.views is {self.data.views}")
+        return cameras
 
-        There are fewer G-buffers than views if a camera ran out of attempts.
-        """
-        accepted: dict[int, tuple[Camera, GBuffer]] = {}
-        drawn = 0
-        for camera_attempt in range(self.data.camera_attempts):
-            scene = self._sample(task, attempt, camera_attempt)
-            if camera_attempt == 0:
-                triangles = SceneTriangles.from_scene(scene)
-                caster = camera_caster(triangles)
-            for view, camera in enumerate(scene.cameras):
-                if view not in accepted:
-                    drawn += 1
-                    gbuffer = self._first_hit(triangles, camera, caster)
-                    if gbuffer.hit.mean() >= self.data.min_coverage:
-                        accepted[view] = camera, gbuffer
-            if len(accepted) == self.data.views:
-                break
-        cameras, gbuffers = zip(*(accepted[view] for view in sorted(accepted)), strict=True) if accepted else ((), ())
-        return scene.model_copy(update={"cameras": cameras}), gbuffers, drawn - len(accepted)
-
-    def _sample(self, task: SceneTask, attempt: int, camera_attempt: int) -> Scene:
-        scene = self.family.sample(
-            np.random.default_rng(self._seed(task.scene_split, task.index, "scene", attempt)),
-            np.random.default_rng(self._seed(task.split, task.index, "cameras", attempt, camera_attempt)),
-            held_out=task.scene_split == "test",
-        )
-        if len(scene.cameras) != self.data.views:
-            raise UserError(f"the scene family draws {len(scene.cameras)} cameras, data.views is {self.data.views}")
-        return scene
-
-    def _first_hit(self, triangles: SceneTriangles, camera: Camera, caster: RayCaster) -> GBuffer:
-        side = self.data.resolution
-        return first_hit(triangles, camera_to_world(camera), camera.fov, side, side, caster)
+    def _rngs(
+        self, task: SceneTask, split: str, attempt: int, camera_attempt: int
+    ) -> tuple[np.random.Generator, np.random.Generator]:
+        """Of a scene and of its cameras."""
+        scene = self._seed(task.scene_split, task.index, "scene", attempt)
+        cameras = self._seed(split, task.index, "cameras", attempt, camera_attempt)
+        return np.random.default_rng(scene), np.random.default_rng(cameras)
 
     def _render(
         self, task: SceneTask, attempt: int, triangles: SceneTriangles, c2w: np.ndarray, fov: np.ndarray
@@ -205,42 +192,31 @@ class SceneJob:
         # Noise of its own for every sample: a pattern common to all images could be learned.
         seed = self._seed(task.split, task.index, "render", attempt, self.reference.seed).generate_state(1)[0]
         settings = dataclasses.replace(self.reference, seed=int(seed >> 1))  # Cycles takes 31 bits
-        return self.render(triangles, c2w, fov, self.data.resolution, self.data.resolution, settings)
+        side = self.data.resolution
+        return self.render(triangles, c2w, fov, side, side, settings)
 
-    def _with_light(
-        self,
-        task: SceneTask,
-        attempt: int,
-        triangles: SceneTriangles,
-        gbuffers: tuple[GBuffer, ...],
-        c2w: np.ndarray,
-        fov: np.ndarray,
+    def _gbuffers(
+        self, task: SceneTask, attempt: int, stage: Stage, c2w: np.ndarray, fov: np.ndarray
     ) -> tuple[GBuffer, ...]:
-        sampler = LightSampler(triangles)
-        seeds = self._seed(task.split, task.index, "light", attempt).generate_state(len(gbuffers))
-        views = zip(gbuffers, c2w, fov, seeds, strict=True)
-        samples = self.data.light_samples
-        return tuple(with_direct_light(g, m, f, sampler, samples, int(seed)) for g, m, f, seed in views)
+        """Of each view, with its direct light."""
+        side, samples = self.data.resolution, self.data.light_samples
+        seeds = self._seed(task.split, task.index, "light", attempt).generate_state(len(c2w))
+        gbuffers = []
+        for pose, angle, seed in zip(c2w, fov, seeds, strict=True):
+            seen = first_hit(stage.triangles, pose, angle, side, side, stage.caster)
+            gbuffers.append(with_direct_light(seen, pose, angle, stage.lights, samples, int(seed)))
+        return tuple(gbuffers)
 
     def _seed(self, split: str, index: int, role: str, attempt: int, detail: int = 0) -> np.random.SeedSequence:
         return np.random.SeedSequence([self.data.seed, SPLIT_CODES[split], index, _ROLES[role], attempt, detail])
 
-    def _meta(self, task: SceneTask, scene: Scene, redraws: dict[str, int]) -> dict[str, Any]:
+    def _meta(self, task: SceneTask, cameras: Sequence[Camera], redraws: dict[str, int]) -> dict[str, Any]:
         return {
-            "family": scene.name,
+            "family": self.family.name,
             "seed": self.data.seed,
             "split": task.split,
             "index": task.index,
             "redraws": redraws,
             "settings": self.fingerprint,
-            "cameras": [camera.model_dump(mode="json") for camera in scene.cameras],
+            "cameras": [camera.model_dump(mode="json") for camera in cameras],
         }
-
-
-def _packed(sample: SceneSample, redraws: Mapping[str, int]) -> MadeScene:
-    return MadeScene(
-        blocks=pack(sample.key, encode(sample)),
-        triangles=len(sample.triangles),
-        objects=sample.triangles.num_objects,
-        **redraws,
-    )

@@ -29,7 +29,7 @@ def test_every_experiment_composes_to_a_family_and_valid_data_settings(experimen
 @requires_blender
 def test_generate_then_nothing_to_do_then_refused(tmp_path):
     def run(*overrides: str) -> subprocess.CompletedProcess:
-        small = ["data.resolution=16", "reference.samples=1", "data.workers=1"]
+        small = ["data.resolution=16", "reference.samples=1", "farm.workers=1"]
         amount = ["data.splits={train: 1, train_newviews: 0, validation: 0, test: 0}"]
         command = [sys.executable, "launch/generate.py", "+experiment=quickstart", f"data.root={tmp_path}"]
         return subprocess.run(

@@ -1,0 +1,55 @@
+"""Measure what something costs: a table to read and, with output=…, a CSV file with commit and hardware.
+
+python launch/benchmark.py benchmark=reference output=data/results/reference.csv
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import torch
+from hydra.utils import instantiate
+from omegaconf import DictConfig
+from rich.console import Console
+from rich.progress import Progress
+from rich.table import Table
+
+from rfpp.entry import entry_point
+from rfpp.evaluation.csv_files import Row, write_rows
+from rfpp.evaluation.evaluation_file import hardware
+from rfpp.training.tracking import code_version
+
+
+@entry_point("benchmark")
+def main(cfg: DictConfig) -> list[Row]:
+    """Run the benchmark `cfg.benchmark`; returns its rows."""
+    console = Console()
+    measure = instantiate(cfg.benchmark, _convert_="all")
+    with _bar(console) as show:
+        rows = measure(progress=show)
+    console.print(_table(rows))
+    if cfg.output is not None:
+        where = {"commit": code_version() or "unknown", "hardware": hardware(torch.device("cpu"))}
+        path = write_rows(Path(cfg.output), [{**row, **where} for row in rows])
+        console.print(f"Written: {path}", highlight=False, soft_wrap=True)
+    return rows
+
+
+@contextmanager
+def _bar(console: Console) -> Iterator[Callable[[int, int], None]]:
+    with Progress(console=console, transient=True) as progress:
+        task = progress.add_task("measuring", total=None)
+        yield lambda done, total: progress.update(task, completed=done, total=total)
+
+
+def _table(rows: list[Row]) -> Table:
+    table = Table(*rows[0], title_justify="left")
+    for row in rows:
+        table.add_row(*(f"{value:.4g}" if isinstance(value, float) else str(value) for value in row.values()))
+    return table
+
+
+if __name__ == "__main__":
+    main()

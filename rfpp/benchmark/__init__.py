@@ -1,0 +1,1 @@
+"""What things cost: ground truth, reading data."""

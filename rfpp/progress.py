@@ -1,0 +1,50 @@
+"""Progress bars for long work that counts what it has done."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, Task, TextColumn, TimeRemainingColumn
+
+
+class Count:
+    """What a bar has seen: `done` things of `total`, `before` of which were there already."""
+
+    def __init__(self) -> None:
+        self.done = self.total = 0
+        self.before: int | None = None
+
+    @property
+    def made(self) -> int:
+        return self.done - (self.before or 0)
+
+
+@contextmanager
+def counting(console: Console, things: str, each: int = 1) -> Iterator[tuple[Callable[[int, int], None], Count]]:
+    """A bar and its count: call the function yielded with (done, total); it is shown if anything is missing.
+
+    Args:
+        things: what is counted, in the plural.
+        each: how many things one step of the work is.
+    """
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), _PerSecond())
+    with Progress(*columns, TimeRemainingColumn(), console=console) as progress:
+        count, bars = Count(), []
+
+        def show(done: int, total: int) -> None:
+            count.done, count.total = done, total
+            if not bars:
+                count.before = done
+                fields = {"total": total * each, "before": done * each, "visible": done < total}
+                bars.append(progress.add_task(things, **fields))
+            progress.update(bars[0], completed=done * each)
+
+        yield show, count
+
+
+class _PerSecond(ProgressColumn):
+    def render(self, task: Task) -> str:
+        made = task.completed - task.fields["before"]
+        return f"{made / task.elapsed:.1f} {task.description}/s" if made and task.elapsed else "starting"

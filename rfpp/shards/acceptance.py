@@ -1,0 +1,92 @@
+"""What makes a view worth rendering: it sees enough, and light reaches what it sees. Checked before any rendering."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+
+from rfpp.errors import UserError
+from rfpp.gbuffer.direct_light import direct_radiance, with_direct_light
+from rfpp.gbuffer.first_hit import camera_caster, first_hit
+from rfpp.gbuffer.light_sampler import LightSampler
+from rfpp.scene.camera import camera_to_world
+from rfpp.scene.spec import Camera
+from rfpp.scene.triangles import SceneTriangles
+
+#: Why a view is refused, as the index and the manifest count it.
+EMPTY, UNLIT = "empty_views", "unlit_views"
+
+
+class Stage:
+    """A scene ready for casting rays: what cameras can see of it, and its lights."""
+
+    def __init__(self, triangles: SceneTriangles) -> None:
+        self.triangles = triangles
+        self.caster = camera_caster(triangles)
+        self.lights = LightSampler(triangles)
+
+
+@dataclass(frozen=True)
+class Acceptance:
+    """Which views are good enough, judged from a small G-buffer with direct light and its shadows.
+
+    Attributes:
+        resolution: pixels of that G-buffer.
+        light_samples: shadow rays per light and pixel.
+        min_coverage: share of the pixels that must see a surface.
+        min_lit: share of these that some light must reach directly.
+        min_radiance: mean outgoing radiance of direct light over all pixels.
+        camera_attempts: draws of a camera, before its scene is drawn anew.
+        scene_attempts: draws of a scene, before it counts as failed.
+    """
+
+    resolution: int
+    light_samples: int
+    min_coverage: float
+    min_lit: float
+    min_radiance: float
+    camera_attempts: int
+    scene_attempts: int
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if field.name in ("min_coverage", "min_lit") and not 0 <= value <= 1:
+                raise UserError(f"data.acceptance.{field.name} is {value}: use 0 to 1")
+            if value < (field.type == "int"):
+                raise UserError(f"data.acceptance.{field.name} is {value}: use {int(field.type == 'int')} or more")
+
+    def cameras(
+        self, stage: Stage, draw: Callable[[int], tuple[Camera, ...]], refused: Counter[str]
+    ) -> tuple[Camera, ...] | None:
+        """The first good one of each camera's draws, or None if one has none.
+
+        Args:
+            draw: all cameras of the so many-th attempt.
+            refused: counts the refused views by reason.
+        """
+        accepted: dict[int, Camera] = {}
+        for attempt in range(self.camera_attempts):
+            cameras = draw(attempt)
+            for view, camera in enumerate(cameras):
+                if view in accepted:
+                    continue
+                if reason := self.objection(stage, camera):
+                    refused[reason] += 1
+                else:
+                    accepted[view] = camera
+            if len(accepted) == len(cameras):
+                return tuple(accepted[view] for view in range(len(cameras)))
+        return None
+
+    def objection(self, stage: Stage, camera: Camera) -> str | None:
+        """EMPTY or UNLIT, or None for a good view."""
+        c2w = camera_to_world(camera)
+        seen = first_hit(stage.triangles, c2w, camera.fov, self.resolution, self.resolution, stage.caster)
+        if not seen.hit.any() or seen.hit.mean() < self.min_coverage:
+            return EMPTY
+        lit = with_direct_light(seen, c2w, camera.fov, stage.lights, self.light_samples)
+        reached = lit.light.diffuse.any(axis=-1)[lit.hit].mean() >= self.min_lit
+        bright = direct_radiance(lit, stage.triangles.material).mean() >= self.min_radiance
+        return None if reached and bright else UNLIT
