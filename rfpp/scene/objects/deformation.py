@@ -11,11 +11,9 @@ from collections.abc import Callable
 
 import numpy as np
 from jaxtyping import Float
-from manifold3d import Manifold
-from manifold3d import Mesh as ManifoldMesh
 
 from rfpp.scene.mesh import Mesh
-from rfpp.scene.objects.solid import Rng, from_manifold
+from rfpp.scene.objects.solid import Rng, from_manifold, to_manifold
 
 Points = Float[np.ndarray, "points 3"]
 #: Draws a map of the box [-half, half] (half [3]) to space.
@@ -78,5 +76,5 @@ def deformed(rng: Rng, mesh: Mesh, target_faces: int) -> Mesh:
 
 def _with_short_edges(mesh: Mesh, faces: int) -> Mesh:
     """The same surface without edges longer than those of as many equilateral triangles: flat sides can curve."""
-    solid = Manifold(ManifoldMesh(mesh.vertices, mesh.faces.astype(np.uint32)))
+    solid = to_manifold(mesh)
     return from_manifold(solid.refine_to_length(math.sqrt(4 / math.sqrt(3) * solid.surface_area() / faces)))

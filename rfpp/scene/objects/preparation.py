@@ -11,7 +11,7 @@ import trimesh
 
 from rfpp.errors import SceneError
 from rfpp.scene.mesh import Mesh, decimated, load_mesh, normalized, welded, without_degenerate_faces
-from rfpp.scene.objects.solid import volume
+from rfpp.scene.objects.solid import closed_decimation, volume
 from rfpp.scene.refinement import is_closed
 
 #: An object thinner than this share of its longest side, or that fills less of its box, has nothing inside.
@@ -94,19 +94,16 @@ class Preparation:
         watertight = is_closed(mesh)
         if not watertight and self.non_watertight == "reject":
             raise RejectionError("not watertight", "some edge does not touch exactly two faces")
-        reduced = _facing_outwards(self._reduced(mesh, watertight), watertight)
+        reduced = self._reduced(_facing_outwards(mesh, watertight), watertight)
         if watertight and volume(reduced) < _FLAT * np.prod(np.ptp(reduced.vertices, axis=0)):
             raise RejectionError("flat", "it encloses next to no volume")
         return PreparedMesh(normalized(reduced), len(original), watertight)
 
     def _reduced(self, mesh: Mesh, watertight: bool) -> Mesh:
         try:
-            reduced = decimated(mesh, self.max_faces)
+            return closed_decimation(mesh, self.max_faces) if watertight else decimated(mesh, self.max_faces)
         except SceneError as error:
             raise RejectionError("cannot be decimated", str(error)) from None
-        if watertight and not is_closed(reduced):
-            raise RejectionError("cannot be decimated", f"at {self.max_faces} faces it is not watertight any more")
-        return reduced
 
 
 def _cleaned(mesh: Mesh) -> Mesh:

@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 
 from rfpp.errors import SceneError
-from rfpp.scene.mesh import Mesh, normalized
+from rfpp.scene.mesh import Mesh, decimated, normalized
 from rfpp.scene.objects.library import Library
 from rfpp.scene.objects.preparation import Preparation
-from rfpp.scene.objects.solid import with_face_count
-from rfpp.scene.refinement import is_closed
+from rfpp.scene.objects.solid import closed_decimation
+from rfpp.scene.refinement import refined
 
 #: Objects drawn for one place in a scene before the request counts as impossible.
 _ATTEMPTS = 100
@@ -122,11 +122,12 @@ class PreparedObjects(ABC):
             item = objects[int(rng.integers(len(objects)))]
             whole = library.mesh(item)
             try:
-                mesh = normalized(with_face_count(whole, target_faces))
+                coarse = (closed_decimation if item.watertight else decimated)(whole, target_faces)
             except SceneError:
                 continue
-            if target_faces - len(mesh) <= 1 and (is_closed(mesh) or not item.watertight):
-                return mesh
+            mesh = refined(coarse, target_faces)
+            if target_faces - len(mesh) <= 1:
+                return normalized(mesh)
         raise SceneError(
             f"{self.library_root}: none of {_ATTEMPTS} objects can have {target_faces} faces: "
             "raise scene.budget.per_object or bring other meshes"

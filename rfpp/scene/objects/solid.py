@@ -7,13 +7,23 @@ from collections.abc import Callable
 
 import numpy as np
 from manifold3d import Manifold
+from manifold3d import Mesh as ManifoldMesh
 
+from rfpp.errors import SceneError
 from rfpp.scene.mesh import Mesh, decimated
 from rfpp.scene.refinement import is_closed, refined
 
 Rng = np.random.Generator
 #: A generator of one kind draws a closed solid with very roughly the given number of faces.
 Solid = Callable[[Rng, int], Mesh]
+
+#: Shares of a solid's size by which `closed_decimation` lets its surface move.
+_TOLERANCES = (1e-4, 1e-3, 3e-3, 1e-2, 2e-2)
+
+
+def to_manifold(mesh: Mesh) -> Manifold:
+    """A closed mesh as Manifold's; an empty one if it is not closed and consistently oriented."""
+    return Manifold(ManifoldMesh(mesh.vertices, mesh.faces.astype(np.uint32)))
 
 
 def from_manifold(solid: Manifold) -> Mesh:
@@ -30,6 +40,26 @@ def unit_sphere(faces: int) -> Manifold:
 def with_face_count(mesh: Mesh, target_faces: int) -> Mesh:
     """The mesh with `target_faces` faces or hardly fewer: decimated from above, refined from below."""
     return refined(decimated(mesh, target_faces), target_faces)
+
+
+def closed_decimation(mesh: Mesh, target_faces: int) -> Mesh:
+    """The closed mesh with at most `target_faces` faces, still closed.
+
+    Where collapsing edges alone tears it open, as on flat sides with many faces, those are made few first, with ever
+    more tolerance.
+
+    Raises:
+        SceneError: that is not possible.
+    """
+    reduced = decimated(mesh, target_faces)
+    if is_closed(reduced):
+        return reduced
+    solid, size = to_manifold(mesh), float(np.ptp(mesh.vertices, axis=0).max())
+    for tolerance in _TOLERANCES:
+        reduced = decimated(from_manifold(solid.simplify(tolerance * size)), target_faces)
+        if is_closed(reduced):
+            return reduced
+    raise SceneError(f"at {target_faces} faces it is not closed any more")
 
 
 def volume(mesh: Mesh) -> float:

@@ -86,8 +86,8 @@ def test_what_decimation_tears_open_or_gives_up_is_rejected(tmp_path, monkeypatc
     def tears_open(mesh, target_faces):
         return Mesh(mesh.vertices, mesh.faces[:target_faces])
 
-    for decimate, detail in ((gives_up, "the mesh cannot be reduced"), (tears_open, "not watertight any more")):
-        monkeypatch.setattr("rfpp.scene.objects.preparation.decimated", decimate)
+    for decimate, detail in ((gives_up, "the mesh cannot be reduced"), (tears_open, "not closed any more")):
+        monkeypatch.setattr("rfpp.scene.objects.solid.decimated", decimate)
         with pytest.raises(RejectionError, match=detail) as caught:
             prepared(tmp_path, BALL)
         assert caught.value.reason == "cannot be decimated"
