@@ -1,4 +1,4 @@
-"""Where objects stand: sizes, rotations and positions without intersections."""
+"""Where objects stand: rotations and positions without intersections."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from rfpp.errors import SceneError
 from rfpp.scene.interval import Interval, freeze_intervals, uniform
 from rfpp.scene.mesh import Mesh
 from rfpp.scene.open_side import OpenSide
+from rfpp.scene.sizes import SizeSampler
 from rfpp.scene.spec import Transform
 from rfpp.scene.triangles import rotation_matrix
 
@@ -21,12 +22,10 @@ _SHRINKS = 60
 
 @dataclass(frozen=True)
 class Placement:
-    """Sizes from a filled share of the unit cube, then positions by rejection, the largest object first.
+    """Positions by rejection, the largest object first.
 
     Attributes:
-        fill: share φ of the unit cube that N spheres of the base radius (3φ / 4πN)^(1/3) would fill.
-        spread: standard deviation of the logarithm of an object's radius around it.
-        max_radius: upper bound of that radius, so that no object hides the whole scene.
+        sizes: of the objects, where there is room for them.
         rotation: degrees about each axis.
         floating: the probability that an object floats above the floor instead of resting on it.
         gap: distance of a resting object's lowest vertex to the floor.
@@ -35,9 +34,7 @@ class Placement:
         shrink: factor on its size when all of them failed.
     """
 
-    fill: Interval
-    spread: float
-    max_radius: float
+    sizes: SizeSampler
     rotation: Interval
     floating: float
     gap: float
@@ -54,8 +51,7 @@ class Placement:
         Raises:
             SceneError: a mesh found no room however small.
         """
-        base_radius = (3 * uniform(rng, self.fill) / (4 * np.pi * len(meshes))) ** (1 / 3)
-        radii = np.minimum(base_radius * np.exp(rng.normal(0.0, self.spread, len(meshes))), self.max_radius)
+        radii = self.sizes.sample(rng, len(meshes))
         boxes = np.empty((0, 2, 3))
         transforms: list[Transform | None] = [None] * len(meshes)
         for i in np.argsort(-radii, kind="stable"):
@@ -87,7 +83,7 @@ class Placement:
                 )
                 return transform, box + centre
             scale *= self.shrink
-        raise SceneError("an object found no room: lower Placement.fill, margin or the number of objects")
+        raise SceneError("an object found no room: lower Placement.sizes, margin or the number of objects")
 
     def _candidates(
         self, rng: np.random.Generator, box: np.ndarray, reach: np.ndarray, open_side: OpenSide, floats: bool
