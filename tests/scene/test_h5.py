@@ -18,10 +18,10 @@ from rfpp.scene.texture import FLAT_NORMAL, covered_cells, is_constant, mean_mat
 SCENE = still_life()
 
 
-def patches(size: int = 32) -> np.ndarray:
+def patches(size: int = 32, dtype: type = np.float16) -> np.ndarray:
     flat = np.broadcast_to(np.float32(FLAT_NORMAL), (len(SCENE), 3))
     values = np.concatenate([SCENE.material[:, :7], flat, SCENE.material[:, 7:]], axis=1)
-    return (values[:, :, None, None] * covered_cells(size)).astype(np.float16)
+    return (values[:, :, None, None] * covered_cells(size)).astype(dtype)
 
 
 def write(path, **changes):
@@ -218,3 +218,10 @@ def test_patches_are_read_piece_by_piece(tmp_path, monkeypatch):
         scene = Scene.load(path)
         found = zip(scene.triangles.positions, scene.triangles.material, strict=True)
         assert all(np.array_equal(materials[t.tobytes()], m) for t, m in found)
+
+
+def test_patches_in_full_precision_are_materials_in_full_precision(tmp_path):
+    scene = Scene.load(write(tmp_path / "room.h5", texture=patches(dtype=np.float32)))
+    found = {t.tobytes(): m for t, m in zip(scene.triangles.positions, scene.triangles.material, strict=True)}
+    assert scene.texture is None
+    np.testing.assert_array_equal([found[t.tobytes()] for t in SCENE.positions], SCENE.material)
