@@ -9,6 +9,7 @@ from pathlib import Path
 import fast_simplification
 import numpy as np
 import trimesh
+from jaxtyping import Float
 
 from rfpp.errors import SceneError
 from rfpp.scene.files import write_atomically
@@ -136,15 +137,20 @@ def without_degenerate_faces(mesh: Mesh) -> Mesh:
     Raises:
         SceneError: no triangle is left.
     """
-    corners = mesh.corners.astype(np.float64)
-    edges = np.roll(corners, -1, axis=1) - corners
-    longest = np.linalg.norm(edges, axis=2).max(axis=1)
-    twice_area = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
-    solid = twice_area > _DEGENERATE_SLIMNESS * longest**2
+    solid = slimness(mesh) > _DEGENERATE_SLIMNESS
     if not solid.any():
         raise SceneError("every triangle has zero area: check the mesh and its scale")
     used, faces = np.unique(mesh.faces[solid], return_inverse=True)
     return Mesh(mesh.vertices[used], faces.reshape(-1, 3))
+
+
+def slimness(mesh: Mesh) -> Float[np.ndarray, " faces"]:
+    """The height of each triangle over its longest side, as a share of that side; 0 if it is a point."""
+    corners = mesh.corners.astype(np.float64)
+    edges = np.roll(corners, -1, axis=1) - corners
+    longest = np.linalg.norm(edges, axis=2).max(axis=1)
+    twice_area = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
+    return twice_area / np.maximum(longest**2, np.finfo(np.float64).tiny)
 
 
 def welded(mesh: Mesh) -> Mesh:

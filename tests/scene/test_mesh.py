@@ -11,7 +11,16 @@ import pytest
 import trimesh
 
 from rfpp.errors import SceneError, UserError
-from rfpp.scene.mesh import Mesh, decimated, load_mesh, normalized, save_mesh, welded, without_degenerate_faces
+from rfpp.scene.mesh import (
+    Mesh,
+    decimated,
+    load_mesh,
+    normalized,
+    save_mesh,
+    slimness,
+    welded,
+    without_degenerate_faces,
+)
 
 
 def from_trimesh(shape: trimesh.Trimesh) -> Mesh:
@@ -144,6 +153,12 @@ def test_zero_area_triangles_are_dropped_at_any_scale() -> None:
         assert len(result.vertices) == 3
     with pytest.raises(SceneError, match="every triangle has zero area"):
         without_degenerate_faces(Mesh(vertices, faces[1:]))
+
+
+def test_slimness_is_the_height_over_the_longest_side_at_any_scale() -> None:
+    vertices = np.array([[0, 0, 0], [4, 0, 0], [1, 1, 0], [1, 1e-3, 0], [0, 0, 0]])
+    mesh = Mesh(1e4 * vertices, np.array([[0, 1, 2], [0, 1, 3], [0, 4, 0]]))
+    assert slimness(mesh) == pytest.approx([0.25, 0.25e-3, 0], rel=1e-5)
 
 
 def test_welding_joins_equal_positions_only(sphere: Mesh) -> None:

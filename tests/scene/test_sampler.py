@@ -31,7 +31,7 @@ def test_the_triangle_budget_is_kept(name):
     count, (low, high), (fewest, most), (smallest, largest) = BUDGETS[name]
     for scene in scenes(name, count):
         assert low <= sum(len(item.mesh) for item in scene.objects) <= high
-        assert len(SceneTriangles.from_scene(scene)) <= high
+        assert len(SceneTriangles.from_scene(scene)) == sum(len(item.mesh) for item in scene.objects)
         items = objects(scene, "object")
         assert fewest <= len(items) <= most
         assert all(smallest <= len(item.mesh) <= largest for item in items)

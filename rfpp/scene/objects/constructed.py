@@ -72,7 +72,7 @@ def _beam(rng: Rng, faces: int) -> Manifold:
     radius, segments = rng.uniform(0.08, 0.24), 4 * max(1, round(math.sqrt(faces) / 10))
     for distance in (-radius, 2 * radius, -radius):  # opening rounds outer corners, closing inner ones
         section = section.offset(distance, JoinType.Round, 2.0, segments)
-    return Manifold.extrude(section, rng.uniform(0.4, 5.0))
+    return Manifold.extrude(section.simplify(0.01), rng.uniform(0.4, 5.0))
 
 
 def primitive(rng: Rng, faces: int) -> Mesh:

@@ -10,13 +10,15 @@ from manifold3d import Manifold
 from manifold3d import Mesh as ManifoldMesh
 
 from rfpp.errors import SceneError
-from rfpp.scene.mesh import Mesh, decimated
+from rfpp.scene.mesh import Mesh, decimated, slimness
 from rfpp.scene.refinement import is_closed, refined
 
 Rng = np.random.Generator
 #: A generator of one kind draws a closed solid with very roughly the given number of faces.
 Solid = Callable[[Rng, int], Mesh]
 
+#: A slimmer triangle may lose its area to rounding when it is scaled and moved.
+_SLIMMEST = 1e-5
 #: Shares of a solid's size by which `closed_decimation` lets its surface move.
 _TOLERANCES = (1e-4, 1e-3, 3e-3, 1e-2, 2e-2)
 
@@ -69,8 +71,12 @@ def volume(mesh: Mesh) -> float:
 
 
 def is_solid(mesh: Mesh, least_fill: float) -> bool:
-    """Closed, facing outwards, and no thin sheet: it fills more than the given share of its bounding box."""
-    return is_closed(mesh) and volume(mesh) > least_fill * float(np.prod(np.ptp(mesh.vertices, axis=0)))
+    """Closed, facing outwards, no thin sheet and without slivers: all of it is left wherever it is placed in a scene.
+
+    It fills more than the given share of its bounding box.
+    """
+    fills = volume(mesh) > least_fill * float(np.prod(np.ptp(mesh.vertices, axis=0)))
+    return fills and is_closed(mesh) and bool(slimness(mesh).min() > _SLIMMEST)
 
 
 def grid_faces(index: np.ndarray) -> np.ndarray:
