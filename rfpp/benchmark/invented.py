@@ -1,0 +1,85 @@
+"""Data sets that are quick to make and as large and as hard to compress as real ones: rendering is left out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from scipy.ndimage import gaussian_filter
+
+from rfpp.gbuffer.direct_light import with_direct_light
+from rfpp.gbuffer.first_hit import camera_caster, first_hit, stack_channels
+from rfpp.gbuffer.light_sampler import LightSampler
+from rfpp.reference.cycles import CyclesSettings
+from rfpp.reference.farm import RenderFarm
+from rfpp.scene.triangles import SceneTriangles
+from rfpp.shards.generation import generate
+from rfpp.shards.job import DatasetSettings, SceneSource
+from rfpp.shards.recipe import Recipe
+
+#: What denoising leaves: standard deviation of log radiance.
+_NOISE = 0.01
+
+
+@dataclass(frozen=True)
+class InventedData:
+    """The first training scenes of a family, with invented indirect light.
+
+    Attributes:
+        family: of the scenes.
+        data: resolution, views and so on; name, place and amount are replaced.
+        reference: only its noise seed matters.
+        farm: makes the samples.
+        scenes: how many.
+    """
+
+    family: SceneSource
+    data: DatasetSettings
+    reference: CyclesSettings
+    farm: RenderFarm
+    scenes: int
+
+    def root(self, temporary: Path, progress: Callable[[int, int], None]) -> Path:
+        """Make the data set in a temporary folder; returns it."""
+        data = replace(self.data, name="invented", root=str(temporary), splits={"train": self.scenes})
+        recipe = Recipe.of_scenes(self.family, self.reference, data, {}, invented_light)
+        with self.farm as farm:
+            generate(recipe, farm, progress)
+        return temporary
+
+
+@dataclass(frozen=True)
+class StoredData:
+    """A data set that is there.
+
+    Attributes:
+        folder: of the data set.
+    """
+
+    folder: str
+
+    def root(self, temporary: Path, progress: Callable[[int, int], None]) -> Path:
+        """Its folder."""
+        return Path(self.folder)
+
+
+def invented_light(
+    triangles: SceneTriangles, c2w: np.ndarray, fov: np.ndarray, height: int, width: int, settings: CyclesSettings
+) -> np.ndarray:
+    """Images [V, H, W, 3] of direct light, a smooth bounce of it, and a little noise (as `cycles.render`)."""
+    rng = np.random.default_rng(settings.seed)
+    caster, lights = camera_caster(triangles), LightSampler(triangles)
+    images = []
+    for pose, angle in zip(c2w, fov, strict=True):
+        seen = first_hit(triangles, pose, angle, height, width, caster)
+        lit = with_direct_light(seen, pose, angle, lights, samples=2, seed=int(rng.integers(1 << 31)))
+        names = ("albedo", "direct_diffuse", "specular", "direct_glossy")
+        stacked = stack_channels(lit, triangles.material, angle, names).transpose(1, 2, 0)
+        albedo, diffuse, specular, glossy = np.split(stacked, 4, axis=-1)
+        direct = albedo * diffuse + specular * glossy
+        bounce = albedo * gaussian_filter(direct, (height / 16, width / 16, 0))
+        noise = np.exp(rng.normal(0, _NOISE, direct.shape))
+        images.append(np.minimum((direct + bounce) * noise, np.finfo(np.float16).max))
+    return np.stack(images).astype(np.float32)
