@@ -6,7 +6,8 @@
 
 Run the same command again after an interruption: nothing that was rendered is lost. Other actions: `merge` joins slices
 that were made apart, `status` says what is missing, `verify` hashes and decodes everything, `prepare` only reads the
-object library in, `reproduce` makes one sample alone, `show` draws one, `export` writes one for other programs.
+object library in, `reproduce` makes one sample alone, `show` draws one, `export` writes one for other programs. With
+h5.folder=… the data set is made of RenderFormer's H5 files.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from rfpp.panels import save_png
 from rfpp.progress import counting
 from rfpp.shards.export import export
 from rfpp.shards.generation import make, merge
+from rfpp.shards.imported import Import
 from rfpp.shards.manifest import Manifest
 from rfpp.shards.pictures import contact_sheet, sample_panel
 from rfpp.shards.recipe import Recipe, Slice
@@ -48,8 +50,10 @@ def main(cfg: DictConfig) -> Any:
 
 
 def _recipe(cfg: DictConfig) -> Recipe:
-    groups = {group: OmegaConf.to_container(cfg[group], resolve=True) for group in ("scene", "reference")}
     data = instantiate(cfg.data, _convert_="all")
+    if cfg.h5.folder is not None:
+        return Import(Path(cfg.h5.folder), cfg.h5.validation, cfg.h5.test).recipe(data)
+    groups = {group: OmegaConf.to_container(cfg[group], resolve=True) for group in ("scene", "reference")}
     return Recipe.of_scenes(instantiate(cfg.scene, _convert_="all"), instantiate(cfg.reference), data, groups)
 
 

@@ -27,7 +27,7 @@ def is_constant(texture: Float[np.ndarray, "m 13 p p"]) -> bool:
     covered = covered_cells(texture.shape[-1])
     values = texture[:, :, 0, 0]
     flat = np.array(FLAT_NORMAL, values.dtype)
-    expected = values[:, :, None, None] * covered.astype(values.dtype)
+    expected = np.where(covered, values[:, :, None, None], values.dtype.type(0))
     return bool((values[:, NORMAL_CHANNELS] == flat).all() and (texture == expected).all())
 
 

@@ -7,24 +7,13 @@ from collections.abc import Callable
 from dataclasses import dataclass, fields
 
 from rfpp.errors import UserError
-from rfpp.gbuffer.direct_light import direct_radiance, with_direct_light
-from rfpp.gbuffer.first_hit import camera_caster, first_hit
-from rfpp.gbuffer.light_sampler import LightSampler
+from rfpp.gbuffer.direct_light import direct_radiance
 from rfpp.scene.camera import camera_to_world
 from rfpp.scene.spec import Camera
-from rfpp.scene.triangles import SceneTriangles
+from rfpp.shards.stage import Stage
 
 #: Why a view is refused, as the index and the manifest count it.
 EMPTY, UNLIT = "empty_views", "unlit_views"
-
-
-class Stage:
-    """A scene ready for casting rays: what cameras can see of it, and its lights."""
-
-    def __init__(self, triangles: SceneTriangles) -> None:
-        self.triangles = triangles
-        self.caster = camera_caster(triangles)
-        self.lights = LightSampler(triangles)
 
 
 @dataclass(frozen=True)
@@ -83,10 +72,10 @@ class Acceptance:
     def objection(self, stage: Stage, camera: Camera) -> str | None:
         """EMPTY or UNLIT, or None for a good view."""
         c2w = camera_to_world(camera)
-        seen = first_hit(stage.triangles, c2w, camera.fov, self.resolution, self.resolution, stage.caster)
+        seen = stage.first_hit(c2w, camera.fov, self.resolution)
         if not seen.hit.any() or seen.hit.mean() < self.min_coverage:
             return EMPTY
-        lit = with_direct_light(seen, c2w, camera.fov, stage.lights, self.light_samples)
+        lit = stage.lit(seen, c2w, camera.fov, self.light_samples, seed=0)
         reached = lit.light.diffuse.any(axis=-1)[lit.hit].mean() >= self.min_lit
         bright = direct_radiance(lit, stage.triangles.material).mean() >= self.min_radiance
         return None if reached and bright else UNLIT

@@ -62,7 +62,10 @@ class ShardCache:
 
     def _remove_oldest(self) -> None:
         with FileLock(Path(self.folder) / ".room.lock"):
-            files = [(path.stat(), path) for path in Path(self.folder).glob("[!.]*")]
+            files = []
+            for path in Path(self.folder).glob("[!.]*"):
+                with suppress(FileNotFoundError):
+                    files.append((path.stat(), path))
             total = sum(stat.st_size for stat, _ in files)
             for stat, path in sorted(files, key=lambda file: file[0].st_mtime_ns):
                 if total <= self.gigabytes * 1e9:

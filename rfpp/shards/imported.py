@@ -13,19 +13,15 @@ from functools import cache, cached_property
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
 
 from rfpp.errors import SceneError, ShardError, UserError
-from rfpp.gbuffer.direct_light import with_direct_light
-from rfpp.gbuffer.first_hit import GBuffer, camera_caster, first_hit
-from rfpp.gbuffer.light_sampler import LightSampler
 from rfpp.scene.h5 import image_shape, load_h5, load_images
-from rfpp.scene.packed import PackedScene
 from rfpp.shards import tar
 from rfpp.shards.export import look_at
 from rfpp.shards.job import DatasetSettings, MadeScene, SceneTask
 from rfpp.shards.recipe import Recipe, fingerprint_of
 from rfpp.shards.sample import SCHEMA_VERSION, SceneSample, encode
+from rfpp.shards.stage import Stage
 
 
 @dataclass(frozen=True)
@@ -152,28 +148,15 @@ class ImportJob:
             "settings": self.fingerprint,
             "cameras": [look_at(*view).model_dump(mode="json") for view in zip(scene.c2w, scene.fov, strict=True)],
         }
-        gbuffers = self._gbuffers(scene, images, seed=int.from_bytes(digest.digest()))
+        seed = np.random.SeedSequence(int.from_bytes(digest.digest()))
+        stage = Stage(scene.triangles)
+        gbuffers = stage.gbuffers(scene.c2w, scene.fov, images.shape[1], self.light_samples, seed)
         sample = SceneSample(task.key, scene.triangles, scene.c2w, scene.fov, images, gbuffers, meta)
         try:
             blocks = tar.pack(task.key, encode(sample))
         except ShardError as error:
             raise SceneError(f"{path}: {error}") from None
         return MadeScene(blocks, len(scene.triangles), scene.triangles.num_objects, **redraws)
-
-    def _gbuffers(self, scene: PackedScene, images: Float[np.ndarray, "v h w 3"], seed: int) -> tuple[GBuffer, ...]:
-        caster, sampler = camera_caster(scene.triangles), LightSampler(scene.triangles)
-        seeds = np.random.SeedSequence(seed).generate_state(len(images)).tolist()
-        return tuple(
-            with_direct_light(
-                first_hit(scene.triangles, pose, fov, *image.shape[:2], caster),
-                pose,
-                fov,
-                sampler,
-                self.light_samples,
-                noise,
-            )
-            for pose, fov, image, noise in zip(scene.c2w, scene.fov, images, seeds, strict=True)
-        )
 
 
 #: A worker lists the folder once, not for every file.

@@ -12,15 +12,14 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 
 from rfpp.errors import SceneError, UserError
-from rfpp.gbuffer.direct_light import with_direct_light
-from rfpp.gbuffer.first_hit import GBuffer, first_hit
 from rfpp.reference.cycles import CyclesSettings
 from rfpp.scene.packed import poses
 from rfpp.scene.spec import Camera, Scene
 from rfpp.scene.triangles import SceneTriangles
 from rfpp.shards import tar
-from rfpp.shards.acceptance import EMPTY, UNLIT, Acceptance, Stage
+from rfpp.shards.acceptance import EMPTY, UNLIT, Acceptance
 from rfpp.shards.sample import SceneSample, encode
+from rfpp.shards.stage import Stage
 
 #: Part of every seed: never renumber. `train_newviews` shows training scenes to other cameras.
 SPLIT_CODES = {"train": 0, "train_newviews": 1, "test": 2, "validation": 3}
@@ -143,6 +142,7 @@ class SceneJob:
             attempt, stage, cameras = self._accepted(task, task.split, [attempt], refused)
         triangles, (c2w, fov) = stage.triangles, poses(cameras)
         images = self._render(task, attempt, triangles, c2w, fov)
+        light = self._seed(task.split, task.index, "light", attempt)
         redraws = {"scene_redraws": attempt, EMPTY: refused[EMPTY], UNLIT: refused[UNLIT]}
         sample = SceneSample(
             key=task.key,
@@ -150,7 +150,7 @@ class SceneJob:
             c2w=c2w,
             fov=fov,
             images=images,
-            gbuffers=self._gbuffers(task, attempt, stage, c2w, fov),
+            gbuffers=stage.gbuffers(c2w, fov, self.data.resolution, self.data.light_samples, light),
             meta=self._meta(task, cameras, redraws),
         )
         return MadeScene(tar.pack(task.key, encode(sample)), len(triangles), triangles.num_objects, **redraws)
@@ -194,18 +194,6 @@ class SceneJob:
         settings = dataclasses.replace(self.reference, seed=int(seed >> 1))  # Cycles takes 31 bits
         side = self.data.resolution
         return self.render(triangles, c2w, fov, side, side, settings)
-
-    def _gbuffers(
-        self, task: SceneTask, attempt: int, stage: Stage, c2w: np.ndarray, fov: np.ndarray
-    ) -> tuple[GBuffer, ...]:
-        """Of each view, with its direct light."""
-        side, samples = self.data.resolution, self.data.light_samples
-        seeds = self._seed(task.split, task.index, "light", attempt).generate_state(len(c2w))
-        gbuffers = []
-        for pose, angle, seed in zip(c2w, fov, seeds, strict=True):
-            seen = first_hit(stage.triangles, pose, angle, side, side, stage.caster)
-            gbuffers.append(with_direct_light(seen, pose, angle, stage.lights, samples, int(seed)))
-        return tuple(gbuffers)
 
     def _seed(self, split: str, index: int, role: str, attempt: int, detail: int = 0) -> np.random.SeedSequence:
         return np.random.SeedSequence([self.data.seed, SPLIT_CODES[split], index, _ROLES[role], attempt, detail])

@@ -8,7 +8,7 @@ import signal
 import subprocess
 import sys
 import time
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -277,6 +277,35 @@ def test_bad_acceptance_is_named(change, message):
 def test_the_number_of_views_must_be_the_familys(tmp_path):
     with pytest.raises(UserError, match=r"draws 3 cameras, data\.views is 2"):
         make(tmp_path, BoxFamily(views=3))
+
+
+@dataclass(frozen=True)
+class Sabotaged:
+    """Cycles, but the worker of the first scene is killed in the middle of it, and that of the second stops dead."""
+
+    folder: Path
+
+    def __call__(self, triangles, *args) -> np.ndarray:
+        images = cycles.render(triangles, *args)
+        seen = self.folder / f"{triangles.material[2, 0]}.seen"
+        number = len(list(self.folder.glob("*.seen")))
+        if number < 2 and not seen.exists():
+            seen.touch()
+            os.kill(os.getpid(), (signal.SIGKILL, signal.SIGSTOP)[number])
+        return images
+
+
+@requires_blender
+def test_killed_and_hanging_workers_lose_nothing(tmp_path):
+    def rendered(name: str, render) -> Manifest:
+        with RenderFarm(1, max_job_seconds=20) as farm:
+            reference = replace(REFERENCE, samples=4)
+            made = recipe(tmp_path / name, render=render, reference=reference, resolution=32, splits={"train": 3})
+            return generation.generate(made, farm, lambda done, total: None)
+
+    sabotaged = rendered("sabotaged", Sabotaged(tmp_path))
+    assert len(list(tmp_path.glob("*.seen"))) == 2
+    assert sabotaged.hash == rendered("undisturbed", cycles.render).hash
 
 
 def make_slice(root: Path, index: int, count: int) -> None:

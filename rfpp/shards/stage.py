@@ -1,0 +1,49 @@
+"""A scene ready for casting rays, before and after its cameras are chosen."""
+
+from __future__ import annotations
+
+from typing import SupportsFloat
+
+import numpy as np
+from jaxtyping import Float
+
+from rfpp.gbuffer.direct_light import with_direct_light
+from rfpp.gbuffer.first_hit import GBuffer, camera_caster, first_hit
+from rfpp.gbuffer.light_sampler import LightSampler
+from rfpp.scene.triangles import SceneTriangles
+
+
+class Stage:
+    """What cameras can see of a scene, and its lights.
+
+    Attributes:
+        triangles: the whole scene.
+    """
+
+    def __init__(self, triangles: SceneTriangles) -> None:
+        self.triangles = triangles
+        self._caster = camera_caster(triangles)
+        self._lights = LightSampler(triangles)
+
+    def first_hit(self, c2w: Float[np.ndarray, "4 4"], fov: SupportsFloat, resolution: int) -> GBuffer:
+        """The square G-buffer of one camera, without light (`rfpp.gbuffer.first_hit`)."""
+        return first_hit(self.triangles, c2w, fov, resolution, resolution, self._caster)
+
+    def lit(self, seen: GBuffer, c2w: Float[np.ndarray, "4 4"], fov: SupportsFloat, samples: int, seed: int) -> GBuffer:
+        """The same with its direct light (`rfpp.gbuffer.direct_light`)."""
+        return with_direct_light(seen, c2w, fov, self._lights, samples, seed)
+
+    def gbuffers(
+        self,
+        c2w: Float[np.ndarray, "v 4 4"],
+        fov: Float[np.ndarray, " v"],
+        resolution: int,
+        samples: int,
+        seed: np.random.SeedSequence,
+    ) -> tuple[GBuffer, ...]:
+        """Of every camera, with direct light; each gets samples of its own."""
+        seeds = seed.generate_state(len(c2w)).tolist()
+        return tuple(
+            self.lit(self.first_hit(pose, angle, resolution), pose, angle, samples, noise)
+            for pose, angle, noise in zip(c2w, fov, seeds, strict=True)
+        )
