@@ -146,11 +146,13 @@ def without_degenerate_faces(mesh: Mesh) -> Mesh:
 
 def slimness(mesh: Mesh) -> Float[np.ndarray, " faces"]:
     """The height of each triangle over its longest side, as a share of that side; 0 if it is a point."""
-    corners = mesh.corners.astype(np.float64)
-    edges = np.roll(corners, -1, axis=1) - corners
-    longest = np.linalg.norm(edges, axis=2).max(axis=1)
-    twice_area = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
-    return twice_area / np.maximum(longest**2, np.finfo(np.float64).tiny)
+    a, b, c = np.moveaxis(mesh.corners.astype(np.float64), (0, 1, 2), (2, 0, 1))  # three times [3, F]
+    u, v, w = b - a, c - b, a - c
+    longest_squared = np.maximum.reduce([(edge * edge).sum(axis=0) for edge in (u, v, w)])
+    # By components: np.cross takes four times as long, and every object of every scene comes here.
+    normal = np.stack([u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]])
+    twice_area = np.sqrt((normal * normal).sum(axis=0))
+    return twice_area / np.maximum(longest_squared, np.finfo(np.float64).tiny)
 
 
 def welded(mesh: Mesh) -> Mesh:
