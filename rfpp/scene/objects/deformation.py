@@ -19,6 +19,9 @@ Points = Float[np.ndarray, "points 3"]
 #: Draws a map of the box [-half, half] (half [3]) to space.
 Deformation = Callable[[Rng, np.ndarray], Callable[[Points], Points]]
 
+#: A mesh with this share of the faces that it is going to have can follow a deformation as it is.
+_FINE = 0.8
+
 
 def twist(rng: Rng, half: np.ndarray) -> Callable[[Points], Points]:
     """Rotation about the z axis that grows with z, by 30 to 100 degrees in all, either way."""
@@ -70,7 +73,7 @@ def deformed(rng: Rng, mesh: Mesh, target_faces: int) -> Mesh:
     # A cyclic change of axes is a rotation: it keeps the outside outside.
     order = np.roll(np.arange(3), 2 - int(np.argmax(high - low)))
     centred = Mesh((mesh.vertices - (low + high) / 2)[:, order], mesh.faces)
-    fine = _with_short_edges(centred, target_faces)
+    fine = centred if len(mesh) >= _FINE * target_faces else _with_short_edges(centred, target_faces)
     return Mesh(deformation(rng, (high - low)[order] / 2)(fine.vertices.astype(np.float64)), fine.faces)
 
 
