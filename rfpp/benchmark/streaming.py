@@ -13,6 +13,7 @@ from pathlib import Path
 from statistics import median
 
 import lightning as L
+import psutil
 import webdataset
 
 from rfpp.benchmark.invented import InventedData, StoredData
@@ -27,6 +28,22 @@ Row = dict[str, str | int | float]
 PAPER_IMAGES_PER_SECOND = 32 / 1.2
 
 _PREFETCHED = 2  # batches that each process of a DataLoader is ahead
+
+
+class _Stopwatch:
+    """Wall and CPU seconds since it was made, the latter with those of the processes that this one started."""
+
+    def __init__(self) -> None:
+        self._begin = self._now()
+
+    def read(self) -> tuple[float, float]:
+        return tuple(now - then for now, then in zip(self._now(), self._begin, strict=True))
+
+    @staticmethod
+    def _now() -> tuple[float, float]:
+        this = psutil.Process()
+        times = [process.cpu_times() for process in (this, *this.children(recursive=True))]
+        return time.perf_counter(), sum(t.user + t.system for t in times)
 
 
 @dataclass(frozen=True)
@@ -57,7 +74,8 @@ def measure(
 ) -> list[Row]:
     """A row per data set and way of reading; medians over rounds in which all of them take turns.
 
-    The files were read before, so that the disk has no part in it. Starting loader processes is not counted.
+    The files were read before, so that the disk has no part in it. Starting loader processes is not counted. On a
+    busy machine CPU time per scene says more than scenes per second.
 
     Args:
         data: by name.
@@ -91,17 +109,18 @@ def _rows(
 ) -> list[Row]:
     settings = datamodule(root=root, workers=0)
     data = _DataSet(Manifest.load(root), batches, settings.scenes_per_step, settings.seed)
-    ways: dict[tuple[str, int], Callable[[], float]] = {
+    ways: dict[tuple[str, int], Callable[[], tuple[float, float]]] = {
         ("positioned reads", 0): lambda: _positioned(data),
         ("webdataset, undecoded", 0): lambda: _sequential(data),
         **{("training loader", n): lambda n=n: _loader(data, datamodule(root=root, workers=n)) for n in workers},
     }
-    seconds: dict[tuple[str, int], list[float]] = {way: [] for way in ways}
+    seconds: dict[tuple[str, int], list[tuple[float, float]]] = {way: [] for way in ways}
     for turn in range(rounds):
         for number, (way, run) in enumerate(ways.items(), start=1):
             seconds[way].append(run())
             made(turn * len(ways) + number)
-    rates = {way: data.scenes / median(times) for way, times in seconds.items()}
+    rates = {way: data.scenes / median(wall for wall, _ in times) for way, times in seconds.items()}
+    cpu = {way: median(cpu for _, cpu in times) / data.scenes for way, times in seconds.items()}
     entries = data.entries
     megabytes = sum(entry.size for entry in entries) / len(entries) / 1e6
     rows = []
@@ -118,6 +137,7 @@ def _rows(
                 "scenes_per_s": scenes,
                 "images_per_s": images,
                 "MB_per_s": scenes * megabytes,
+                "cpu_ms_per_scene": 1e3 * cpu[reader, processes],
                 "of_positioned_reads": scenes / rates["positioned reads", 0],
                 "times_paper": images / PAPER_IMAGES_PER_SECOND,
             }
@@ -125,37 +145,37 @@ def _rows(
     return rows
 
 
-def _positioned(data: _DataSet) -> float:
-    """Seconds to read the samples' bytes in training's order, each from where the index says."""
+def _positioned(data: _DataSet) -> tuple[float, float]:
+    """Wall and CPU seconds to read the samples' bytes in training's order, each from where the index says."""
     shards = data.manifest.shards("train")
     where = [(shard.file, entry) for shard in shards for entry in data.manifest.index(shard).samples]
     files = {shard.file: os.open(data.manifest.root / shard.file, os.O_RDONLY) for shard in shards}
     order = ShuffledOrder([shard.samples for shard in shards], data.seed, window=len(shards))
-    begin = time.perf_counter()
+    watch = _Stopwatch()
     for _, index in islice(order.draws(), data.scenes):
         file, entry = where[index]
         os.pread(files[file], entry.size, entry.offset)
-    elapsed = time.perf_counter() - begin
+    elapsed = watch.read()
     for descriptor in files.values():
         os.close(descriptor)
     return elapsed
 
 
-def _sequential(data: _DataSet) -> float:
-    """Seconds to take the samples' bytes out of the tars, one after the other."""
+def _sequential(data: _DataSet) -> tuple[float, float]:
+    """Wall and CPU seconds to take the samples' bytes out of the tars, one after the other."""
     urls = [str(data.manifest.root / shard.file) for shard in data.manifest.shards("train")]
-    begin = time.perf_counter()
+    watch = _Stopwatch()
     for _ in islice(_endless(urls), data.scenes):
         pass
-    return time.perf_counter() - begin
+    return watch.read()
 
 
 def _endless(urls: list[str]) -> Iterator[dict]:
     return chain.from_iterable(webdataset.WebDataset(tars, shardshuffle=False) for tars in repeat(urls))
 
 
-def _loader(data: _DataSet, datamodule: SceneDataModule) -> float:
-    """Seconds from one batch to `batches` later, while every loader process has work before and after."""
+def _loader(data: _DataSet, datamodule: SceneDataModule) -> tuple[float, float]:
+    """Wall and CPU seconds from one batch to `batches` later, while every loader process has work before and after."""
     ahead = 1 + _PREFETCHED * datamodule.workers
     steps = data.batches + 2 * ahead
     with warnings.catch_warnings():
@@ -166,10 +186,10 @@ def _loader(data: _DataSet, datamodule: SceneDataModule) -> float:
         loader = iter(datamodule.train_dataloader())
         for _ in range(ahead):
             next(loader)
-        begin = time.perf_counter()
+        watch = _Stopwatch()
         for _ in range(data.batches):
             next(loader)
-        elapsed = time.perf_counter() - begin
+        elapsed = watch.read()
         for _ in loader:  # PyTorch's processes may abort, with a message, if they are stopped while they send
             pass
     return elapsed
