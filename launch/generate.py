@@ -25,6 +25,9 @@ from rfpp.entry import entry_point, required
 from rfpp.errors import ShardError, UserError
 from rfpp.panels import save_png
 from rfpp.progress import counting
+from rfpp.scene.objects.building import prepare
+from rfpp.scene.objects.library import INDEX, Library
+from rfpp.scene.objects.prepared import PreparedObjects
 from rfpp.shards.export import export
 from rfpp.shards.generation import make, merge
 from rfpp.shards.imported import Import
@@ -53,11 +56,35 @@ def _recipe(cfg: DictConfig) -> Recipe:
     data = instantiate(cfg.data, _convert_="all")
     if cfg.h5.folder is not None:
         return Import(Path(cfg.h5.folder), cfg.h5.validation, cfg.h5.test).recipe(data)
+    family = instantiate(cfg.scene, _convert_="all")
     groups = {group: OmegaConf.to_container(cfg[group], resolve=True) for group in ("scene", "reference")}
-    return Recipe.of_scenes(instantiate(cfg.scene, _convert_="all"), instantiate(cfg.reference), data, groups)
+    if isinstance(family.objects, PreparedObjects):  # their content counts, not where it came from
+        groups["scene"]["objects"] = family.objects.content()
+    return Recipe.of_scenes(family, instantiate(cfg.reference), data, groups)
+
+
+def _prepare(cfg: DictConfig, console: Console) -> Library:
+    """Read foreign meshes into their library; only what is new or changed is looked at."""
+    source = instantiate(cfg.scene.objects, _convert_="all")
+    if not isinstance(source, PreparedObjects):
+        raise UserError(
+            "scene.objects: procedural objects need no preparation: choose scene/objects=folder or objaverse"
+        )
+    with counting(console, "objects") as (show, _), instantiate(cfg.farm) as farm:
+        library = prepare(source, farm.map, show)
+    counts = ", ".join(f"{count} {name}" for name, count in library.index.counts.items())
+    console.print(f"Objects in {library.root}: {counts}.")
+    for rejected in library.index.rejected[:20]:
+        console.print(f"  {rejected.id}: {rejected.reason}: {rejected.detail}", markup=False)
+    if len(library.index.rejected) > 20:
+        console.print(f"  and {len(library.index.rejected) - 20} more, in {library.root / INDEX}")
+    return library
 
 
 def _make(cfg: DictConfig, console: Console) -> Manifest | None:
+    source = instantiate(cfg.scene.objects, _convert_="all")
+    if isinstance(source, PreparedObjects) and not source.is_prepared():
+        _prepare(cfg, console)
     recipe, part = _recipe(cfg), Slice(**cfg.slice)
     console.print(f"Data set '{recipe.name}' → {recipe.root}")
     begin = time.perf_counter()
@@ -153,6 +180,7 @@ def _preview(cfg: DictConfig, console: Console) -> Path:
 
 ACTIONS = {
     "make": _make,
+    "prepare": _prepare,
     "merge": _merge,
     "status": _status,
     "verify": _verify,

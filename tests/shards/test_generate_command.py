@@ -5,9 +5,11 @@ import sys
 from pathlib import Path
 
 import pytest
+import trimesh
 from hydra import compose, initialize_config_dir
 from hydra.utils import instantiate
 from marks import requires_blender
+from PIL import Image
 
 from rfpp.shards.job import DatasetSettings
 from rfpp.shards.manifest import Manifest
@@ -26,23 +28,63 @@ def test_every_experiment_composes_to_a_family_and_valid_data_settings(experimen
     assert instantiate(cfg.reference).denoise
 
 
+def run(*overrides: str) -> subprocess.CompletedProcess:
+    """A scene of quickstart's at toy size, whatever the overrides say."""
+    small = ["data.resolution=16", "reference.samples=1", "farm.workers=1"]
+    amount = ["data.splits={train: 1, train_newviews: 0, validation: 0, test: 0}"]
+    command = [sys.executable, "launch/generate.py", "+experiment=quickstart"]
+    return subprocess.run(
+        [*command, *small, *amount, *overrides], cwd=REPOSITORY, capture_output=True, text=True, check=False
+    )
+
+
 @requires_blender
 def test_generate_then_nothing_to_do_then_refused(tmp_path):
-    def run(*overrides: str) -> subprocess.CompletedProcess:
-        small = ["data.resolution=16", "reference.samples=1", "farm.workers=1"]
-        amount = ["data.splits={train: 1, train_newviews: 0, validation: 0, test: 0}"]
-        command = [sys.executable, "launch/generate.py", "+experiment=quickstart", f"data.root={tmp_path}"]
-        return subprocess.run(
-            [*command, *small, *amount, *overrides], cwd=REPOSITORY, capture_output=True, text=True, check=False
-        )
-
-    made = run()
+    root = f"data.root={tmp_path}"
+    made = run(root)
     assert made.returncode == 0, made.stderr
     assert "Made 1 scenes" in made.stdout
     assert "images/s" in made.stdout
     assert Manifest.load(tmp_path).counts["images"] == 4
-    assert "Nothing to do: all 1 scenes" in run().stdout
-    refused = run("reference.samples=2")
+    shown = run(root, "action=show", "sample=train-000000", f"output={tmp_path}/pictures")
+    assert shown.returncode == 0, shown.stderr
+    assert Image.open(tmp_path / "pictures/train-000000.png").size[0] > 500
+    assert "no sample 'train-000001'" in run(root, "action=show", "sample=train-000001").stderr
+    assert "Nothing to do: all 1 scenes" in run(root).stdout
+    refused = run(root, "reference.samples=2")
     assert refused.returncode == 1
     assert refused.stderr.count("\n") == 1
     assert "reference.samples (1 there, 2 now)" in refused.stderr
+
+
+@requires_blender
+def test_a_folder_of_meshes_is_prepared_and_rendered(tmp_path):
+    (tmp_path / "meshes").mkdir()
+    trimesh.creation.icosphere(2).export(tmp_path / "meshes/ball.ply")
+    trimesh.creation.torus(1, 0.3).export(tmp_path / "meshes/ring.glb")
+    (tmp_path / "meshes/broken.obj").write_text("f 1 2 3")
+    objects = [
+        "scene/objects=folder",
+        f"scene.objects.folder={tmp_path}/meshes",
+        f"scene.objects.root={tmp_path}/objects",
+    ]
+    made = run("scene/objects=folder", *folders, f"data.root={tmp_path}/data")
+    assert made.returncode == 0, made.stderr
+    assert "broken.obj: unreadable" in made.stdout
+    assert "1 held_out" in made.stdout
+    assert Manifest.load(tmp_path / "data").counts["scenes"] == 1
+
+
+def test_the_object_library_of_procedural_shapes_needs_no_preparation():
+    refused = run("action=prepare")
+    assert refused.returncode == 1
+    assert "need no preparation" in refused.stderr
+
+
+def test_a_preview_needs_no_blender(tmp_path):
+    assert run("preview=2", f"output={tmp_path}").returncode == 0
+    assert Image.open(tmp_path / "quickstart_preview.png").size[0] > 400
+
+
+def test_an_unknown_action_names_the_known():
+    assert "action=mend does not exist: choose from make, prepare, merge" in run("action=mend").stderr
