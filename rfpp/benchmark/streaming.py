@@ -181,7 +181,7 @@ def _loader(data: _DataSet, datamodule: SceneDataModule) -> tuple[float, float]:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         datamodule.trainer = L.Trainer(
-            max_steps=steps, accelerator="cpu", logger=False, enable_checkpointing=False, barebones=True
+            max_steps=steps, accelerator="cpu", logger=False, enable_checkpointing=False, enable_progress_bar=False
         )
         loader = iter(datamodule.train_dataloader())
         for _ in range(ahead):

@@ -63,11 +63,7 @@ def test_a_folder_of_meshes_is_prepared_and_rendered(tmp_path):
     trimesh.creation.icosphere(2).export(tmp_path / "meshes/ball.ply")
     trimesh.creation.torus(1, 0.3).export(tmp_path / "meshes/ring.glb")
     (tmp_path / "meshes/broken.obj").write_text("f 1 2 3")
-    objects = [
-        "scene/objects=folder",
-        f"scene.objects.folder={tmp_path}/meshes",
-        f"scene.objects.root={tmp_path}/objects",
-    ]
+    folders = [f"scene.objects.folder={tmp_path}/meshes", f"scene.objects.root={tmp_path}/objects"]
     made = run("scene/objects=folder", *folders, f"data.root={tmp_path}/data")
     assert made.returncode == 0, made.stderr
     assert "broken.obj: unreadable" in made.stdout
