@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import torch
+from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
@@ -39,12 +40,13 @@ def main(cfg: DictConfig) -> list[Evaluation]:
     if OmegaConf.is_missing(cfg, "checkpoint"):
         raise UserError("checkpoint is not given: add checkpoint=<run folder>/checkpoints/best.ckpt")
     checkpoints = [cfg.checkpoint] if isinstance(cfg.checkpoint, str) else list(cfg.checkpoint)
-    splits = [ShardSplit(cfg.data.root, name) for name in cfg.evaluation.splits]
+    cache = instantiate(cfg.datamodule.cache)
+    splits = [ShardSplit(cfg.data.root, name, cache) for name in cfg.evaluation.splits]
     outputs = _outputs(checkpoints, cfg.output, splits[0].manifest.name)
     device = torch.device(cfg.device or ("cuda" if torch.cuda.is_available() else "cpu"))
     lpips = LPIPS.pretrained(cfg.loss.lpips_trunk_path) if cfg.evaluation.lpips else None
     metrics = ImageMetrics(lpips, cfg.evaluation.by_bounce)
-    baselines = fitted_baselines(ShardSplit(cfg.data.root, "train"), cfg.evaluation.baseline_scenes)
+    baselines = fitted_baselines(ShardSplit(cfg.data.root, "train", cache), cfg.evaluation.baseline_scenes)
     beside = []
     with _bar(console) as bar:
         for split in splits:

@@ -8,6 +8,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import torch
+from hydra.utils import instantiate
 from omegaconf import DictConfig
 from rich.console import Console
 from rich.progress import Progress
@@ -26,7 +27,7 @@ def main(cfg: DictConfig) -> Path:
     network, info = load_network(required(cfg, "checkpoint"))
     device = torch.device(cfg.device or ("cuda" if torch.cuda.is_available() else "cpu"))
     output = Path(cfg.output) if cfg.output else Path(cfg.checkpoint).parents[1] / "transport"
-    split = ShardSplit(cfg.data.root, cfg.split)
+    split = ShardSplit(cfg.data.root, cfg.split, instantiate(cfg.datamodule.cache))
     with Progress(*Progress.get_default_columns(), console=console) as bar:
         task = bar.add_task("Scenes", total=len(split))
         network.to(device)

@@ -27,7 +27,8 @@ from rfpp.training.tracking import code_version, describe_run
 def main(cfg: DictConfig) -> Path | None:
     """Train `cfg.model` on `cfg.data`; returns the best checkpoint's path (None after a fast_dev_run)."""
     console = Console(highlight=False)
-    warnings.filterwarnings("ignore", message=".*does not have many workers.*|.*isn't picklable.*|.*LeafSpec.*")
+    untroubled = ("does not have many workers", "isn't picklable", "LeafSpec", "dataloader is not resumable")
+    warnings.filterwarnings("ignore", message=f".*({'|'.join(untroubled)}).*")
     L.seed_everything(cfg.seed, verbose=False)
     torch.set_float32_matmul_precision("high")
 

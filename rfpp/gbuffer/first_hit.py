@@ -127,7 +127,7 @@ def channel(
 ) -> Float[np.ndarray, "h w c"]:
     """One channel of `stack_channels`, channels last."""
     if name in _MATERIAL_COLUMNS:
-        return material[gbuffer.triangle][..., _MATERIAL_COLUMNS[name]] * gbuffer.hit[..., None]
+        return material[:, _MATERIAL_COLUMNS[name]][gbuffer.triangle] * gbuffer.hit[..., None]
     if name == "normal":
         return gbuffer.normal
     if name == "depth":
