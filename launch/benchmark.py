@@ -14,7 +14,7 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig
 from rich.console import Console
 from rich.progress import Progress
-from rich.table import Table
+from rich.table import Column, Table
 
 from rfpp.entry import entry_point
 from rfpp.evaluation.csv_files import Row, write_rows
@@ -45,10 +45,18 @@ def _bar(console: Console) -> Iterator[Callable[[int, int], None]]:
 
 
 def _table(rows: list[Row]) -> Table:
-    table = Table(*rows[0], title_justify="left")
+    """What differs between the rows in columns; what does not, above them."""
+    same = {name: value for name, value in rows[0].items() if all(row[name] == value for row in rows)}
+    names = [name for name in rows[0] if name not in same]
+    table = Table(*(Column(name, overflow="fold") for name in names), box=None, pad_edge=False, title_justify="left")
+    table.title = ", ".join(f"{name} {_shown(value)}" for name, value in same.items())
     for row in rows:
-        table.add_row(*(f"{value:.4g}" if isinstance(value, float) else str(value) for value in row.values()))
+        table.add_row(*(_shown(row[name]) for name in names))
     return table
+
+
+def _shown(value: str | int | float | None) -> str:
+    return f"{value:.3g}" if isinstance(value, float) else str(value)
 
 
 if __name__ == "__main__":

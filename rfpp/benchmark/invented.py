@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-from rfpp.gbuffer.direct_light import with_direct_light
-from rfpp.gbuffer.first_hit import camera_caster, first_hit, stack_channels
+from rfpp.gbuffer.direct_light import direct_radiance, with_direct_light
+from rfpp.gbuffer.first_hit import camera_caster, channel, first_hit
 from rfpp.gbuffer.light_sampler import LightSampler
 from rfpp.reference.cycles import CyclesSettings
 from rfpp.reference.farm import RenderFarm
@@ -75,10 +75,8 @@ def invented_light(
     for pose, angle in zip(c2w, fov, strict=True):
         seen = first_hit(triangles, pose, angle, height, width, caster)
         lit = with_direct_light(seen, pose, angle, lights, samples=2, seed=int(rng.integers(1 << 31)))
-        names = ("albedo", "direct_diffuse", "specular", "direct_glossy")
-        stacked = stack_channels(lit, triangles.material, angle, names).transpose(1, 2, 0)
-        albedo, diffuse, specular, glossy = np.split(stacked, 4, axis=-1)
-        direct = albedo * diffuse + specular * glossy
+        direct = direct_radiance(lit, triangles.material)
+        albedo = channel(lit, triangles.material, angle, "albedo")
         bounce = albedo * gaussian_filter(direct, (height / 16, width / 16, 0))
         noise = np.exp(rng.normal(0, _NOISE, direct.shape))
         images.append(np.minimum((direct + bounce) * noise, np.finfo(np.float16).max))
