@@ -29,7 +29,10 @@ def main(cfg: DictConfig) -> list[Row]:
     measure = instantiate(cfg.benchmark, _convert_="all")
     with _bar(console) as show:
         rows = measure(progress=show)
-    console.print(_table(rows))
+    table = _table(rows)
+    unbounded = console.options.update(max_width=1000)
+    console.width = max(console.width, console.measure(table, options=unbounded).maximum)  # break lines, not words
+    console.print(table)
     if cfg.output is not None:
         where = {"commit": code_version() or "unknown", "hardware": hardware(torch.device("cpu"))}
         path = write_rows(Path(cfg.output), [{**row, **where} for row in rows])
@@ -48,7 +51,7 @@ def _table(rows: list[Row]) -> Table:
     """What differs between the rows in columns; what does not, above them."""
     same = {name: value for name, value in rows[0].items() if all(row[name] == value for row in rows)}
     names = [name for name in rows[0] if name not in same]
-    table = Table(*(Column(name, overflow="fold") for name in names), box=None, pad_edge=False, title_justify="left")
+    table = Table(*(Column(name, no_wrap=True) for name in names), box=None, pad_edge=False, title_justify="left")
     table.title = ", ".join(f"{name} {_shown(value)}" for name, value in same.items())
     for row in rows:
         table.add_row(*(_shown(row[name]) for name in names))
