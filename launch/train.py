@@ -1,6 +1,8 @@
 """Train a network on a data set's shards, tracked in MLflow.
 
 python launch/train.py +experiment=quickstart
+
+The same command with the same run_dir goes on where the run was, after a kill too.
 """
 
 from __future__ import annotations
@@ -18,16 +20,29 @@ from rich.console import Console
 from rfpp.entry import entry_point
 from rfpp.inference.checkpoint import CheckpointInfo, load_initial_weights
 from rfpp.metrics.image import ImageMetrics
+from rfpp.training.callbacks.finite_gradients import NonFiniteGradientError
+from rfpp.training.checkpoints import checkpoint_to_resume, point_at
 from rfpp.training.module import RenderingModule
-from rfpp.training.run import point_latest_at, start_summary, write_config
-from rfpp.training.tracking import code_version, describe_run
+from rfpp.training.run import (
+    checkpoint_activations,
+    divide_global_batch,
+    same_folder_in_children,
+    start_summary,
+    trainer_plugins,
+    write_config,
+)
+from rfpp.training.stopping import StoppedError, end_early
+from rfpp.training.tracking import code_version
 
 
 @entry_point("train")
 def main(cfg: DictConfig) -> Path | None:
     """Train `cfg.model` on `cfg.data`; returns the best checkpoint's path (None after a fast_dev_run)."""
     console = Console(highlight=False)
-    untroubled = ("does not have many workers", "isn't picklable", "LeafSpec", "dataloader is not resumable")
+    untroubled = (
+        "does not have many workers", "isn't picklable", "LeafSpec", "dataloader is not resumable",
+        "exists and is not empty", "`srun` command is available",
+    )  # fmt: skip
     warnings.filterwarnings("ignore", message=f".*({'|'.join(untroubled)}).*")
     L.seed_everything(cfg.seed, verbose=False)
     torch.set_float32_matmul_precision("high")
@@ -35,8 +50,13 @@ def main(cfg: DictConfig) -> Path | None:
     config = OmegaConf.to_container(cfg, resolve=True)
     run_dir = Path(cfg.run_dir)
     network = instantiate(cfg.model, _convert_="all")
-    if cfg.initial_weights:
+    resumed = checkpoint_to_resume(cfg.checkpoint, run_dir / "checkpoints", config["model"])
+    if cfg.initial_weights and resumed is None:
         load_initial_weights(network, cfg.initial_weights)
+    if cfg.activation_checkpointing:
+        checkpoint_activations(network)
+    if cfg.compile:
+        network.compile()
     datamodule = instantiate(cfg.datamodule, gbuffer_channels=network.gbuffer_channels, _convert_="all")
     loss = instantiate(cfg.loss)
     tracked = not cfg.trainer.fast_dev_run
@@ -51,28 +71,40 @@ def main(cfg: DictConfig) -> Path | None:
         steps=0,
         commit=code_version(),
         mlflow_run_id=logger.run_id if tracked else None,
-        mlflow_tracking_uri=logger.experiment.tracking_uri if tracked else None,
+        mlflow_tracking_uri=logger.tracking_uri if tracked else None,
     )
     module = RenderingModule(
         network, loss, ImageMetrics(lpips=None), instantiate(cfg.optimizer), instantiate(cfg.schedule), info
     )
     # made in two steps, because Hydra would take a logger for a configuration
     trainer = instantiate(cfg.trainer, _partial_=True)(
-        logger=logger, callbacks=list(instantiate(cfg.callbacks).values())
+        logger=logger, callbacks=list(instantiate(cfg.callbacks).values()), plugins=trainer_plugins()
     )
+    divide_global_batch(trainer, datamodule)
 
     if trainer.is_global_zero:
         console.print(start_summary(cfg, network, datamodule))
+        if resumed:
+            console.print(f"Goes on from {resumed}")
     if tracked and trainer.is_global_zero:
         config_file = write_config(cfg, run_dir)
-        point_latest_at(run_dir)
+        point_at(run_dir, run_dir.with_name("latest"))
         tags = {"code_version": info.commit or "unknown", "data_manifest": info.data_manifest, "run_dir": str(run_dir)}
         describe_run(logger, config, config_file, tags)
-    trainer.fit(module, datamodule, ckpt_path=cfg.checkpoint, weights_only=True)
+    try:
+        with same_folder_in_children(run_dir):
+            trainer.fit(module, datamodule, ckpt_path=resumed, weights_only=True)
+    except (StoppedError, NonFiniteGradientError) as stop:
+        if not trainer.is_global_zero:
+            return None  # all ranks have stopped, and the first one says why
+        if isinstance(stop, StoppedError):
+            end_early(stop, run_dir)
+        raise
     if not tracked:
         return None
     best = Path(trainer.checkpoint_callback.best_model_path)
-    console.print(f"Best checkpoint: {best}\nMLflow run: {logger.run_id} in {info.mlflow_tracking_uri}")
+    if trainer.is_global_zero:
+        console.print(f"Best checkpoint: {best}\nMLflow run: {logger.run_id} in {info.mlflow_tracking_uri}")
     return best
 
 

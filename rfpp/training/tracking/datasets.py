@@ -1,0 +1,25 @@
+"""The data set of a run, as MLflow shows it: name, digest, source, and how much there is."""
+
+from __future__ import annotations
+
+import json
+
+from mlflow import MlflowClient
+from mlflow.entities import Dataset, DatasetInput, InputTag
+from mlflow.utils.mlflow_tags import MLFLOW_DATASET_CONTEXT
+from mlflow.utils.validation import MAX_DATASET_DIGEST_SIZE
+
+from rfpp.training.tracking.journal import Record
+
+
+def log_dataset(client: MlflowClient, run_id: str, record: Record) -> None:
+    """Log a data set as the run's input; its digest is the beginning of the manifest's hash, as long as MLflow takes."""
+    kind, key = ("http", "url") if record["source"].startswith(("http://", "https://")) else ("local", "uri")
+    dataset = Dataset(
+        name=record["name"],
+        digest=record["digest"][:MAX_DATASET_DIGEST_SIZE],
+        source_type=kind,
+        source=json.dumps({key: record["source"]}),
+        profile=json.dumps(record["counts"]),
+    )
+    client.log_inputs(run_id, [DatasetInput(dataset, [InputTag(MLFLOW_DATASET_CONTEXT, "training")])])

@@ -1,0 +1,51 @@
+"""What runs: its code, its settings, its machine."""
+
+from __future__ import annotations
+
+import os
+import socket
+import subprocess
+from pathlib import Path
+from typing import Any
+
+#: How Slurm calls a job, and the tag for it.
+SLURM_TAGS = {"SLURM_JOB_ID": "slurm_job_id", "SLURM_ARRAY_TASK_ID": "slurm_array_task_id"}
+
+
+def flattened(config: dict[str, Any], prefix: str = "") -> dict[str, str]:
+    """{"a": {"b": 1}} → {"a.b": "1"}."""
+    flat: dict[str, str] = {}
+    for key, value in config.items():
+        if isinstance(value, dict) and value:
+            flat |= flattened(value, f"{prefix}{key}.")
+        else:
+            flat[f"{prefix}{key}"] = str(value)
+    return flat
+
+
+def machine_tags() -> dict[str, str]:
+    """The host, and the Slurm job where there is one."""
+    jobs = {tag: os.environ[variable] for variable, tag in SLURM_TAGS.items() if variable in os.environ}
+    return {"host": socket.gethostname(), **jobs}
+
+
+def code_version() -> str | None:
+    """The commit of this checkout, with `-dirty` when files differ from it; None outside a repository."""
+    described = _git("describe", "--always", "--dirty", "--abbrev=12", "--exclude=*")
+    return None if described is None else described.strip()
+
+
+def code_changes() -> str:
+    """How the checkout's files differ from its commit, as a patch; empty when they do not."""
+    return _git("diff", "HEAD", "--binary") or ""
+
+
+def _git(*arguments: str) -> str | None:
+    """What git prints about this checkout; None outside a repository."""
+    try:
+        done = subprocess.run(
+            ["git", *arguments], cwd=Path(__file__).parent, capture_output=True, encoding="utf-8", check=True
+        )
+    except (OSError, subprocess.CalledProcessError, UnicodeDecodeError):
+        return None
+    return done.stdout

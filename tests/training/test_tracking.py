@@ -1,0 +1,265 @@
+"""One MLflow run per run folder: across kills, and whether or not MLflow is there."""
+
+import json
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import mlflow
+import pytest
+from mlflow import MlflowClient
+
+from rfpp.errors import UserError
+from rfpp.training.tracking.__main__ import main as send
+from rfpp.training.tracking.journal import Journal, records
+from rfpp.training.tracking.logger import RunFolderLogger
+
+
+@pytest.fixture(scope="module")
+def empty_database(tmp_path_factory):
+    """MLflow takes longer to make its tables than any test here takes."""
+    path = tmp_path_factory.mktemp("database") / "mlflow.db"
+    MlflowClient(f"sqlite:///{path}").search_experiments()
+    return path
+
+
+@pytest.fixture
+def store(tmp_path, empty_database):
+    shutil.copy(empty_database, tmp_path / "mlflow.db")
+    return tmp_path
+
+
+def logger(folder, uri=None, run="run", patience=60.0, parent=None):
+    return RunFolderLogger("rfpp", run, folder / run, folder, uri, parent, patience)
+
+
+def history(folder, run_id, name, uri=None):
+    client = MlflowClient(uri or f"sqlite:///{folder}/mlflow.db")
+    return [(m.step, m.value) for m in client.get_metric_history(run_id, name)]
+
+
+def runs(folder):
+    client = MlflowClient(f"sqlite:///{folder}/mlflow.db")
+    return client.search_runs([client.get_experiment_by_name("rfpp").experiment_id])
+
+
+# What a training does: it logs every step, and begins again at its last checkpoint, of every tenth step.
+TRAINING = """
+import sys, time
+from pathlib import Path
+from rfpp.training.tracking.logger import RunFolderLogger
+
+folder = Path(sys.argv[1])
+logger = RunFolderLogger("rfpp", "run", folder / "run", folder, None, None, 60.0)
+checkpoint = folder / "checkpoint"
+start = int(checkpoint.read_text()) if checkpoint.exists() else 0
+for step in range(start, int(sys.argv[2])):
+    logger.log_metrics({"train/loss": 1 / (1 + step), "speed": time.time()}, step)
+    if step % 10 == 9:
+        logger.sync()
+        checkpoint.write_text(str(step + 1))
+    if step == 5:
+        print(logger.run_id, flush=True)
+    time.sleep(0.05)
+logger.finalize("success")
+"""
+
+
+def test_a_killed_run_goes_on_in_the_same_mlflow_run_without_gaps_or_repetitions(store):
+    def train(until):
+        return subprocess.Popen([sys.executable, "-c", TRAINING, str(store), str(until)], stdout=subprocess.PIPE)
+
+    with train(100_000) as process:
+        process.stdout.readline()  # the run is known to MLflow
+        time.sleep(3)  # and some of it is sent
+        process.send_signal(signal.SIGKILL)
+    until = max(record["step"] for record, _ in records(store / "run/tracking/journal.jsonl") if "step" in record) + 10
+    with train(until) as process:
+        assert process.wait() == 0
+    (run,) = runs(store)
+    assert run.info.status == "FINISHED"
+    assert history(store, run.info.run_id, "train/loss") == [(step, 1 / (1 + step)) for step in range(until)]
+    assert [step for step, _ in history(store, run.info.run_id, "speed")] == list(range(until))
+
+
+def test_what_is_sent_twice_is_there_once(store):
+    first = logger(store)
+    picture = store / "run" / "a.png"
+    _png(picture)
+    first.log_metrics({"a": 1.0, "not a number": float("nan")}, 0)
+    first.log_hyperparams({"x": {"y": 1}})
+    first.log_picture("panels", picture, 0)
+    first.finalize("success")
+    target = store / "run/tracking/run.json"
+    target.write_text(json.dumps(json.loads(target.read_text()) | {"sent": 0}))  # killed before it was noted
+
+    assert send([str(store / "run")]) == 0
+    (run,) = runs(store)
+    client = MlflowClient(f"sqlite:///{store}/mlflow.db")
+    assert history(store, run.info.run_id, "a") == [(0, 1.0)]
+    assert len(client.get_metric_history(run.info.run_id, "not a number")) == 1
+    assert len([a for a in client.list_artifacts(run.info.run_id, "images") if a.path.endswith(".png")]) == 1
+    assert run.data.params == {"x.y": "1"}
+
+
+def test_nothing_is_written_to_the_current_directory(store, tmp_path, monkeypatch):
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    monkeypatch.chdir(elsewhere)
+    tracked = logger(store, uri=f"sqlite:///{store}/mlflow.db")
+    tracked.log_file(_png(store / "run" / "a.png"), "pictures")
+    tracked.finalize("success")
+    assert list(elsewhere.iterdir()) == []
+    assert list((store / "artifacts").rglob("a.png"))
+
+
+def test_a_lost_run_id_is_found_again(store):
+    logger(store).finalize("success")
+    target = store / "run/tracking/run.json"
+    target.write_text(json.dumps(json.loads(target.read_text()) | {"run_id": None}))  # killed before it was noted
+    again = logger(store)
+    again.log_metrics({"a": 1.0}, 3)
+    again.finalize("success")
+    (run,) = runs(store)
+    assert run.data.metrics == {"a": 1.0}
+
+
+def test_runs_of_a_sweep_share_one_parent(store):
+    for name in ("one", "two"):
+        logger(store, run=name, parent="sweep").finalize("failed")
+    by_name = {run.info.run_name: run for run in runs(store)}
+    assert by_name.keys() == {"one", "two", "sweep"}
+    parents = {by_name[name].data.tags["mlflow.parentRunId"] for name in ("one", "two")}
+    assert parents == {by_name["sweep"].info.run_id}
+    assert by_name["one"].info.status == "FAILED"
+
+
+class Server:
+    """A real `mlflow server` on a port of its own."""
+
+    def __init__(self, folder: Path):
+        with socket.socket() as free:
+            free.bind(("127.0.0.1", 0))
+            self.port = free.getsockname()[1]
+        self.uri, self._folder = f"http://127.0.0.1:{self.port}", folder
+        self._process = None
+
+    def start(self):
+        command = [
+            sys.executable, "-m", "mlflow", "server", "--port", str(self.port), "--workers", "1",
+            "--backend-store-uri", f"sqlite:///{self._folder}/server.db",
+            "--artifacts-destination", str(self._folder / "served"),
+        ]  # fmt: skip
+        with open(self._folder / "server.log", "ab") as log:
+            self._process = subprocess.Popen(
+                command, stdout=log, stderr=log, cwd=self._folder, start_new_session=True,
+                env={**os.environ, "MLFLOW_SERVER_ENABLE_JOB_EXECUTION": "false"},
+            )  # fmt: skip
+
+    def stop(self):
+        if self._process is not None:
+            os.killpg(self._process.pid, signal.SIGKILL)
+            self._process.wait()
+            self._process = None
+
+
+@pytest.fixture
+def server(tmp_path, empty_database):
+    shutil.copy(empty_database, tmp_path / "server.db")
+    server = Server(tmp_path)
+    yield server
+    server.stop()
+
+
+@pytest.mark.filterwarnings("ignore:MLflow at")
+def test_a_server_that_is_away_is_caught_up_with(server, tmp_path, capsys):
+    away = logger(tmp_path, server.uri, patience=2.0)
+    before = time.monotonic()
+    away.log_metrics({"a": 0.0}, 0)
+    assert time.monotonic() - before < 1  # logging waits for nobody
+    assert away.run_id is None
+
+    server.start()
+    deadline = time.monotonic() + 120
+    while away.run_id is None and time.monotonic() < deadline:
+        time.sleep(0.2)
+    run_id = away.run_id
+    away.log_metrics({"a": 1.0}, 1)
+
+    server.stop()
+    away.log_metrics({"a": 2.0}, 2)
+    away.log_file(_png(tmp_path / "run" / "a.png"), "pictures")
+    away.finalize("success")
+    assert f"python -m rfpp.training.tracking {tmp_path / 'run'}" in capsys.readouterr().out
+    assert send([str(tmp_path / "run")]) == 1
+    assert "error" in capsys.readouterr().err
+
+    server.start()
+    while send([str(tmp_path / "run")]) and time.monotonic() < deadline:
+        time.sleep(1)
+    assert history(tmp_path, run_id, "a", server.uri) == [(0, 0.0), (1, 1.0), (2, 2.0)]
+    run = MlflowClient(server.uri).get_run(run_id)
+    assert run.info.status == "FINISHED"
+    assert list((tmp_path / "served").rglob("a.png"))
+
+
+def test_a_refused_record_is_said_and_the_rest_goes_on(store):
+    with pytest.warns(UserWarning, match="refused artifact"):
+        tracked = logger(store)
+        tracked.log_file(store / "run" / "deleted.png")
+        tracked.log_metrics({"a": 1.0}, 0)
+        tracked.finalize("success")
+    (run,) = runs(store)
+    assert run.data.metrics == {"a": 1.0}
+
+
+def test_the_data_set_is_an_input_of_the_run(store):
+    tracked = logger(store)
+    tracked._journal.append(
+        "dataset", name="boxes", digest="0123456789" * 6, source="/data/boxes", counts={"scenes": 3}
+    )
+    tracked.finalize("success")
+    (run,) = runs(store)
+    (used,) = run.inputs.dataset_inputs
+    assert (used.dataset.name, used.dataset.digest) == ("boxes", ("0123456789" * 6)[:36])
+    assert mlflow.data.get_source(used).uri == "/data/boxes"
+
+
+def test_a_journal_cut_short_loses_its_last_line_alone(tmp_path):
+    path = tmp_path / "journal.jsonl"
+    journal = Journal(path)
+    journal.metrics({"a": 1.0}, 0)
+    journal.metrics({"a": 2.0}, 1)
+    journal.close()
+    path.write_bytes(path.read_bytes()[:-7])
+    again = Journal(path)
+    again.metrics({"a": 1.0}, 0)
+    again.metrics({"a": 2.0, "b": 3.0}, 1)
+    assert [record["values"] for record, _ in records(path)] == [{"a": 1.0}, {"a": 2.0, "b": 3.0}]
+
+
+def test_a_damaged_record_is_warned_of_and_left_out(tmp_path):
+    path = tmp_path / "journal.jsonl"
+    path.write_bytes(b'\0\0\0\n[1]\n{"kind": "tags", "values": {}}\n')
+    with pytest.warns(UserWarning, match=f"{path}: damaged"):
+        assert [record["kind"] for record, _ in records(path)] == ["tags"]
+
+
+def test_a_damaged_run_file_is_one_clear_line(store):
+    (store / "run/tracking").mkdir(parents=True)
+    (store / "run/tracking/run.json").write_text("{")
+    with pytest.raises(UserError, match=r"run\.json.*delete it"):
+        logger(store)
+
+
+def _png(path):
+    from PIL import Image
+
+    path.parent.mkdir(parents=True, exist_ok=True)
+    Image.new("RGB", (4, 4)).save(path)
+    return path
