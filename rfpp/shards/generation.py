@@ -7,6 +7,9 @@ workers or machines, in whatever order, gets the same bytes.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+from filelock import FileLock, Timeout
 
 from rfpp.errors import MissingDependencyError, ShardError, UserError
 from rfpp.reference.farm import RenderFarm
@@ -30,9 +33,14 @@ def make(recipe: Recipe, farm: RenderFarm, progress: Callable[[int, int], None],
     Raises:
         ShardError: the folder holds data made with other settings, or scenes failed.
         MissingDependencyError: Blender or Embree is not installed.
-        UserError: the disk is full.
+        UserError: the disk is full, or another process is making this slice.
     """
     recipe.require_same_settings()
+    with _alone(recipe, part):
+        _make(recipe, farm, progress, part)
+
+
+def _make(recipe: Recipe, farm: RenderFarm, progress: Callable[[int, int], None], part: Slice) -> None:
     shards = recipe.slice(part)
     unfinished = [
         UnfinishedShard.of(recipe, shard) for shard in shards if not shard.is_finished(recipe.root, recipe.fingerprint)
@@ -96,6 +104,20 @@ def generate(recipe: Recipe, farm: RenderFarm, progress: Callable[[int, int], No
     """Make whatever is missing of a data set and write its manifest. Raises like `make`."""
     make(recipe, farm, progress)
     return merge(recipe)
+
+
+@contextmanager
+def _alone(recipe: Recipe, part: Slice) -> Iterator[None]:
+    """While this process makes a slice no other does; a killed one lets go by itself."""
+    path = recipe.root / f".slice-{part.index}-of-{part.count}.lock"
+    try:
+        with FileLock(path, blocking=False):
+            yield
+            path.unlink(missing_ok=True)
+    except Timeout:
+        raise UserError(
+            f"{recipe.root}: another process is making slice {part.index} of {part.count} there: wait for it, or end it"
+        ) from None
 
 
 def _work(unfinished: list[UnfinishedShard], missing: dict[str, set[str]]) -> Iterator[tuple[SceneTask, SampleFolder]]:

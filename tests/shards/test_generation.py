@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from filelock import FileLock
 from marks import requires_blender
 from small_data import ACCEPTANCE, REFERENCE, SETTINGS, BoxFamily, Constant, Interrupting, make, recipe
 
@@ -326,6 +327,15 @@ def test_slices_made_apart_and_merged_equal_one_run(tmp_path, finished):
     assert status(recipe(here)).is_complete
     assert generation.merge(recipe(here)).hash == finished.hash
     assert hashes(here) == hashes(finished.root)
+
+
+def test_two_processes_do_not_make_the_same_slice(tmp_path):
+    with FileLock(tmp_path / ".slice-1-of-3.lock"):
+        with pytest.raises(UserError, match="another process is making slice 1 of 3"):
+            make_slice(tmp_path, 1, 3)
+        make_slice(tmp_path, 2, 3)
+    make_slice(tmp_path, 1, 3)
+    assert not list(tmp_path.glob("*.lock"))
 
 
 @pytest.mark.parametrize(("index", "count"), [(3, 3), (-1, 2), (0, 0)])
