@@ -21,6 +21,9 @@ ERROR_FULL_SCALE = 0.25
 #: Black through purple and orange to pale yellow: five stops of matplotlib's "inferno".
 _SCALE = np.array([[0, 0, 4], [87, 16, 110], [188, 55, 84], [249, 142, 9], [252, 255, 164]])
 
+#: Blue through white to red: ends and middle of ColorBrewer's "RdBu".
+_DIVERGING = np.array([[33, 102, 172], [247, 247, 247], [178, 24, 43]])
+
 _MIN_TILE = 160  # pixels; smaller images are enlarged by whole factors, so that their pixels stay visible
 _GAP, _LINE, _FONT_SIZE = 4, 18, 12
 _PAPER, _INK = (255, 255, 255), (40, 40, 40)
@@ -39,6 +42,19 @@ def error_map(
     """Mean error over the channels of clamp(log2(1 + I), 0, 1): black is none, pale yellow 0.25 and more, or NaN."""
     error = (perceptual(_tensor(prediction)) - perceptual(_tensor(reference))).abs().mean(dim=-1).numpy()
     return false_colours(np.nan_to_num(error / ERROR_FULL_SCALE, nan=1.0))
+
+
+def signed_error_map(
+    prediction: Float[np.ndarray, "h w 3"], reference: Float[np.ndarray, "h w 3"]
+) -> UInt8[np.ndarray, "h w 3"]:
+    """Mean difference over the channels of clamp(log2(1 + I), 0, 1): white is none, blue too dark, red too bright.
+
+    Both are full at 0.25; NaN is black.
+    """
+    difference = (perceptual(_tensor(prediction)) - perceptual(_tensor(reference))).mean(dim=-1).numpy()
+    share = np.clip(difference / ERROR_FULL_SCALE, -1, 1)
+    channels = [np.interp(share, (-1, 0, 1), _DIVERGING[:, channel]) for channel in range(3)]
+    return np.nan_to_num(np.stack(channels, axis=-1)).round().astype(np.uint8)
 
 
 def false_colours(share: Float[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h w 3"]:

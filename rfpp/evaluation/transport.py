@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -14,7 +14,7 @@ from torch import nn
 from rfpp.batch import RaggedBatch
 from rfpp.errors import UserError
 from rfpp.metrics.image import log_l1
-from rfpp.model.renderformer_pp import EncodedScenes, RenderFormerPP
+from rfpp.model.renderformer_pp import RenderFormerPP
 from rfpp.model.transport import EncodedTransport, PhysicsInformedTransport
 from rfpp.radiance import log_decode
 from rfpp.shards.stream import ShardSplit
@@ -91,12 +91,6 @@ def _decoded(
     network: RenderFormerPP, batch: RaggedBatch, applications: int
 ) -> tuple[list[torch.Tensor], Float[torch.Tensor, " n"]]:
     """Linear radiance [V, 3, H, W] after 0 … n applications, and the n residuals between them."""
-    exposure, tokens = network.tokenize(batch)
-    emitted, scattered = network.transport.bounces(tokens, applications)
+    log_radiance, (_, scattered) = network.bounces(batch, applications)
     residual = torch.stack([(a - b).square().mean() for a, b in pairwise(scattered)])
-    images = []
-    for state in scattered:
-        encoded = EncodedScenes(replace(tokens, features=state + emitted), exposure, ())
-        log_radiance = network.view(encoded, batch.c2w, batch.fov, batch.gbuffer)[0]
-        images.append(log_decode(log_radiance.float()).clamp_min(0))
-    return images, residual
+    return [log_decode(image[0].float()).clamp_min(0) for image in log_radiance], residual

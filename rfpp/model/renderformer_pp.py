@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from rfpp.batch import RaggedBatch
+from rfpp.batch import RaggedBatch, Segments
 from rfpp.model.exposure import ArrivingLight, UnitExposure
 from rfpp.model.tokenizer import ObjectTokens, SceneTokens, TriangleTokens
-from rfpp.model.transport import EncodedTransport, PhysicsInformedTransport, UnconstrainedTransport
+from rfpp.model.transport import Bounces, EncodedTransport, PhysicsInformedTransport, UnconstrainedTransport
 from rfpp.model.triangle_embedding import TexturePatchEmbedding, TriangleEmbedding
 from rfpp.model.view_decoder import ViewDecoder
 from rfpp.radiance import log_encode
@@ -23,10 +23,12 @@ class Rendering:
     Attributes:
         log_radiance: [B, V, 3, H, W] log10(1 + radiance), float32.
         transport_states: see Transported.states.
+        token_segments: B segments of their N tokens.
     """
 
     log_radiance: Float[Tensor, "b v 3 h w"]
     transport_states: tuple[Float[Tensor, "n width"], ...]
+    token_segments: Segments | None = None
 
 
 @dataclass(frozen=True)
@@ -67,7 +69,8 @@ class RenderFormerPP(nn.Module):
 
     def forward(self, batch: RaggedBatch) -> Rendering:
         scenes = self.encode(batch)
-        return Rendering(self.view(scenes, batch.c2w, batch.fov, batch.gbuffer), scenes.transport_states)
+        log_radiance = self.view(scenes, batch.c2w, batch.fov, batch.gbuffer)
+        return Rendering(log_radiance, scenes.transport_states, scenes.tokens.segments)
 
     def encode(self, batch: RaggedBatch) -> EncodedScenes:
         """The view-independent stage: once per scene, whatever the number of views."""
@@ -81,6 +84,18 @@ class RenderFormerPP(nn.Module):
         batch = batch.dimmed(exposure)
         return exposure, self.tokenizer(self.embedding(batch), batch)
 
+    def bounces(self, batch: RaggedBatch, count: int) -> tuple[list[Float[Tensor, "b v 3 h w"]], Bounces]:
+        """log10(1 + radiance) decoded from ⁽ᵏ⁾F_s + F_e after k = 0 … `count` applications, and these features.
+
+        For a network with an operator, see `iterations`.
+        """
+        exposure, tokens = self.tokenize(batch)
+        bounces = self.transport.bounces(tokens, count)
+        encoded = (
+            EncodedScenes(replace(tokens, features=s + bounces.emitted), exposure, ()) for s in bounces.scattered
+        )
+        return [self.view(scenes, batch.c2w, batch.fov, batch.gbuffer) for scenes in encoded], bounces
+
     def view(
         self,
         scenes: EncodedScenes,
@@ -91,6 +106,11 @@ class RenderFormerPP(nn.Module):
         """The view-dependent stage: log10(1 + radiance) of V views of each scene, float32."""
         radiance = self.decoder(scenes.tokens, c2w, fov, gbuffer, scenes.exposure)
         return log_encode(scenes.exposure[:, None, None, None, None] * radiance)
+
+    @property
+    def iterations(self) -> int:
+        """K, how often the transport operator is applied; 0 where there is none."""
+        return self.transport.iterations
 
     @property
     def gbuffer_channels(self) -> tuple[str, ...]:

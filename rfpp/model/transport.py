@@ -40,6 +40,8 @@ class Bounces(NamedTuple):
 class UnconstrainedTransport(nn.Module):
     """Self-attention between all tokens of a scene, as in RenderFormer."""
 
+    iterations = 0
+
     def __init__(self, width: int, heads: int, hidden: int, layers: int, frequencies: int):
         super().__init__()
         self.position = RelativeSpatialEncoding(width // heads, frequencies)
@@ -64,6 +66,10 @@ class EncodedTransport(nn.Module):
 
     def forward(self, tokens: SceneTokens) -> Transported:
         return self.transport(self.encoder(tokens).tokens)
+
+    @property
+    def iterations(self) -> int:
+        return self.transport.iterations
 
     def bounces(self, tokens: SceneTokens, count: int) -> Bounces:
         return self.transport.bounces(self.encoder(tokens).tokens, count)

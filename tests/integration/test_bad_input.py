@@ -184,7 +184,7 @@ def test_a_full_tracking_database_does_not_stop_training(data, composed, monkeyp
     monkeypatch.setattr("mlflow.MlflowClient.log_batch", full)
     cfg = composed(
         "train", "+debug=cpu", f"data.root={data}", "data.resolution=8", "loss.lpips_weight=0.0", "steps=2",
-        "trainer.val_check_interval=2", f"run_dir={tmp_path}/run", f"logger.folder={tmp_path}", "logger.patience=2",
+        "trainer.val_check_interval=2", f"run_dir={tmp_path}/run", f"logger.folder={tmp_path}", "logger.patience=2.0",
     )  # fmt: skip
     assert main.__wrapped__(cfg).is_file()
     assert "send it with" in capsys.readouterr().out

@@ -133,7 +133,7 @@ def test_a_run_of_the_ablation_ends_with_a_checkpoint_a_panel_and_its_parent(com
         )  # fmt: skip
         _, info = load_network(main.__wrapped__(cfg))
         assert (info.method, info.seed, info.steps) == ("RenderFormer", seed, 2)
-        assert (tmp_path / str(seed) / "panels" / "step-000002.png").is_file()
+        assert (tmp_path / str(seed) / "panels" / "panels-000002.png").is_file()
         children.append(info.mlflow_run_id)
     client = MlflowClient(f"sqlite:///{tmp_path}/mlflow.db")
     parents = {client.get_run(child).data.tags["mlflow.parentRunId"] for child in children}

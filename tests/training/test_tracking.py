@@ -209,10 +209,10 @@ def test_a_server_that_is_away_is_caught_up_with(server, tmp_path, capsys):
 
 
 def test_a_refused_record_is_said_and_the_rest_goes_on(store):
+    tracked = logger(store)
+    tracked.log_file(store / "run" / "deleted.png")
+    tracked.log_metrics({"a": 1.0}, 0)
     with pytest.warns(UserWarning, match="refused artifact"):
-        tracked = logger(store)
-        tracked.log_file(store / "run" / "deleted.png")
-        tracked.log_metrics({"a": 1.0}, 0)
         tracked.finalize("success")
     (run,) = runs(store)
     assert run.data.metrics == {"a": 1.0}

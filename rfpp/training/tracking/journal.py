@@ -39,7 +39,7 @@ class Journal:
         self.starts = 0
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            self._file = open(path, "ab", buffering=0)  # noqa: SIM115: open as long as the run
+            self._file = open(path, "ab", buffering=0)  # noqa: SIM115 (open as long as the run)
             self._file.truncate(_whole_lines(path))
         except OSError as error:
             raise self._unwritable(error) from None

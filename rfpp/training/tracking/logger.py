@@ -17,6 +17,9 @@ from rfpp.training.tracking.journal import Journal
 from rfpp.training.tracking.sending import JOURNAL, TARGET, Sender
 from rfpp.training.tracking.store import Target
 
+#: A scheduler that tells a process to stop gives it half a minute or so.
+SECONDS_BEFORE_A_KILL = 5.0
+
 
 class RunFolderLogger(Logger):
     """Writes into the run folder's journal, which a thread sends to MLflow.
@@ -46,6 +49,7 @@ class RunFolderLogger(Logger):
     ):
         super().__init__()
         self.run_dir, self.patience, self._run_name = Path(run_dir), patience, run_name
+        self._statuses = {"success": "FINISHED", "failed": "FAILED"}  # Lightning's words and MLflow's
         self._sender: Sender | None = None
         if rank_zero_only.rank == 0:
             target = self.run_dir / "tracking" / TARGET
@@ -73,6 +77,11 @@ class RunFolderLogger(Logger):
     def tracking_uri(self) -> str | None:
         """Of the server or store; None on other ranks."""
         return self._sender and self._sender.target.tracking_uri
+
+    @property
+    def registered_model(self) -> str | None:
+        """`models:/<name>/<version>`, once MLflow has made the version."""
+        return self._sender and self._sender.registered
 
     @rank_zero_only
     def log_metrics(self, metrics: Mapping[str, float], step: int | None = None) -> None:
@@ -121,9 +130,13 @@ class RunFolderLogger(Logger):
         """See Journal.sync."""
         self._journal.sync()
 
+    def will_go_on(self) -> None:
+        """The run ends before its time, and this folder's next one sends what is left: waiting could take too long."""
+        self._statuses["failed"], self.patience = "KILLED", min(self.patience, SECONDS_BEFORE_A_KILL)
+
     @rank_zero_only
     def finalize(self, status: str) -> None:
-        self._journal.append("status", value="FINISHED" if status == "success" else "FAILED")
+        self._journal.append("status", value=self._statuses[status])
         self._journal.sync()
         if not self._sender.close(self.patience):
             command = f"python -m rfpp.training.tracking {self.run_dir}"

@@ -44,6 +44,7 @@ class Sender(threading.Thread):
         self.run_dir = run_dir
         self.target = Target.load(run_dir / "tracking" / TARGET)
         self.problem: str | None = None
+        self.registered: str | None = None
         self._client: MlflowClient | None = None
         self._refused: set[str] = set()
         self._first_try, self._closing = threading.Event(), threading.Event()
@@ -116,7 +117,8 @@ class Sender(threading.Thread):
             case "picture":
                 log_picture(client, run, self.run_dir / first["path"], first)
             case "model":
-                register(client, run, self.run_dir / first["path"], first["name"])
+                version = register(client, run, self.run_dir / first["path"], first["name"])
+                self.registered = f"models:/{version.name}/{version.version}"
             case "status" if first["value"] == "RUNNING":
                 client.update_run(run, "RUNNING")
             case "status":
@@ -131,8 +133,8 @@ class Sender(threading.Thread):
         """Once for each time that MLflow goes away."""
         if self.problem is None:
             warnings.warn(
-                f"MLflow at {self.target.tracking_uri} cannot be reached ({_line(error)}): training goes on, and what it "
-                f"logs is kept in {self.run_dir / 'tracking'} and sent later",
+                f"MLflow at {self.target.tracking_uri} cannot be reached ({_line(error)}): training goes on, and "
+                f"what it logs is kept in {self.run_dir / 'tracking'} and sent later",
                 stacklevel=1,
             )
         self.problem = _line(error)

@@ -1,0 +1,49 @@
+"""How many floating-point operations a network needs, and how many its device can do."""
+
+from __future__ import annotations
+
+import time
+
+import torch
+from torch import nn
+from torch.utils.flop_counter import FlopCounterMode
+
+from rfpp.batch import RaggedBatch
+
+#: Side of the matrices that a device is measured with: large enough to keep it busy, small enough to be soon done.
+MATRIX_SIZE = {"cpu": 1024, "cuda": 8192}
+#: Seconds that measuring takes.
+MEASURED_FOR = 0.3
+
+
+@torch.no_grad()
+def training_flops(network: nn.Module, batch: RaggedBatch) -> float:
+    """Operations of a forward and a backward pass, which is twice a forward one.
+
+    Counted in a forward pass of its own, that neither draws random numbers from training's generators nor compiles.
+    What is computed anew in the backward pass to save memory does not count: it is no progress.
+    """
+    devices = [batch.positions.device] if batch.positions.is_cuda else []
+    counter = FlopCounterMode(display=False)
+    with torch.random.fork_rng(devices), torch.compiler.set_stance("force_eager"), counter:
+        network(batch)
+    return 3.0 * counter.get_total_flops()
+
+
+@torch.no_grad()
+def matrix_product_rate(device: torch.device, dtype: torch.dtype) -> float:
+    """Operations per second of this device, now, in products of large matrices."""
+    size = MATRIX_SIZE.get(device.type, MATRIX_SIZE["cpu"])
+    a = torch.ones(size, size, device=device, dtype=dtype)
+
+    def seconds(products: int) -> float:
+        begin = time.perf_counter()
+        for _ in range(products):
+            torch.mm(a, a)
+        if device.type == "cuda":
+            torch.cuda.synchronize(device)
+        return time.perf_counter() - begin
+
+    seconds(2)  # the first ones choose and load their kernels
+    products = max(1, int(MEASURED_FOR / seconds(1)))
+    return 2 * size**3 * products / seconds(products)

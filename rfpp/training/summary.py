@@ -1,0 +1,42 @@
+"""What is said when training ends."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from rfpp.metrics.image import METRICS
+from rfpp.training.tracking.journal import records
+from rfpp.training.tracking.logger import RunFolderLogger
+from rfpp.training.tracking.sending import JOURNAL
+
+
+def end_summary(logger: RunFolderLogger, checkpoint: Path, data_root: str, monitor: str) -> str:
+    """A few lines: best validation, its checkpoint, where the run is tracked, how to evaluate and render.
+
+    Args:
+        checkpoint: the best one.
+        monitor: the metric it is best in, the lower the better, e.g. "validation/log_l1".
+    """
+    validations = [
+        record
+        for record, _ in records(logger.run_dir / "tracking" / JOURNAL)
+        if record["kind"] == "metrics" and monitor in record["values"]
+    ]
+    lines = []
+    if validations:
+        best = min(validations, key=lambda record: record["values"][monitor])
+        scores = ", ".join(
+            f"{metric.label} {best['values'][f'validation/{name}']:.{metric.decimals}f}"
+            for name, metric in METRICS.items()
+            if f"validation/{name}" in best["values"]
+        )
+        lines.append(f"Best     step {best['step'] + 1}: {scores}")
+    lines.append(f"Written  {checkpoint}")
+    if logger.registered_model:
+        lines.append(f"Model    {logger.registered_model}")
+    lines += [
+        f"MLflow   run {logger.run_id or 'not made yet'} in {logger.tracking_uri}",
+        f"Evaluate python launch/evaluate.py data.root={data_root} checkpoint={checkpoint}",
+        f"Render   python launch/render.py scene=data/scenes/cornell_box.json checkpoint={checkpoint}",
+    ]
+    return "\n".join(lines)

@@ -1,0 +1,117 @@
+"""What a training leaves in MLflow: every metric, pictures, parameters, and a model to load from there."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hydra import compose, initialize_config_dir
+from mlflow import MlflowClient
+from small_data import make
+
+from rfpp import Renderer
+from rfpp.entry import CONFIG_DIR
+from rfpp.errors import CheckpointError
+from rfpp.inference.checkpoint import load_network
+from rfpp.training.tracking.registry import checkpoint_file
+
+STEPS = 4
+
+
+@pytest.fixture(scope="module")
+def tracked(tmp_path_factory):
+    """Folder, best checkpoint, client and run of a training."""
+    from launch.train import main
+
+    folder = tmp_path_factory.mktemp("tracked")
+    data = make(folder / "data", splits={"train": 3, "validation": 2}).root
+    overrides = [
+        "+experiment=quickstart", "+debug=cpu", f"data.root={data}", "data.resolution=8", f"steps={STEPS}",
+        "trainer.val_check_interval=2", "loss.lpips_weight=0.0", f"run_dir={folder}/run", f"logger.folder={folder}",
+        "callbacks.panels.scenes=1", "schedule.warmup_steps=1", "callbacks.scores_by_size.edges=[5,100]",
+        "size.width=54", "size.heads=1", "size.hidden=64",
+    ]  # fmt: skip
+    with initialize_config_dir(str(CONFIG_DIR), version_base="1.3"):
+        cfg = compose("train", overrides=overrides)
+    checkpoint = main.__wrapped__(cfg)
+    client = MlflowClient(f"sqlite:///{folder}/mlflow.db")
+    return folder, checkpoint, client, client.get_run(load_network(checkpoint)[1].mlflow_run_id)
+
+
+def test_every_step_is_measured(tracked):
+    _, _, client, run = tracked
+    every_step = {"train/loss", "train/l1", "train/consistency", "train/learning_rate", "train/gradient_norm"}
+    every_step |= {"consistency/k1", "consistency/k2", "consistency/k3", "memory/resident"}
+    rates = ("steps", "scenes", "images", "triangles", "tokens")
+    every_step |= {f"throughput/{name}_per_s" for name in rates}
+    every_step |= {"throughput/data_wait_fraction", "throughput/flop_utilisation"}
+    for name in every_step:
+        steps = [metric.step for metric in client.get_metric_history(run.info.run_id, name)]
+        assert steps == list(range(STEPS)), name
+    assert 0 < run.data.metrics["throughput/flop_utilisation"] < 1.5
+    assert run.data.metrics["system/cpu_utilization_percentage"] >= 0
+
+
+def test_rates_are_those_of_the_batch(tracked):
+    *_, run = tracked
+    rate = {name: run.data.metrics[f"throughput/{name}_per_s"] for name in ("scenes", "images", "triangles", "tokens")}
+    views, triangles, objects = 2, 2 + 4 + 1, 3
+    assert rate["images"] / rate["scenes"] == pytest.approx(views)
+    assert rate["triangles"] / rate["scenes"] == pytest.approx(triangles)
+    bundles = views * (8 // 4) ** 2
+    assert rate["tokens"] / rate["scenes"] == pytest.approx(8 * objects + bundles)
+
+
+def test_every_validation_is_scored_by_size_and_shown(tracked):
+    folder, _, client, run = tracked
+    for name in ("log_l1", "l1", "mape", "ssim", "psnr"):
+        whole = client.get_metric_history(run.info.run_id, f"validation/{name}")
+        (bucket,) = (key for key in run.data.metrics if key.startswith(f"validation_{name}/"))
+        assert bucket.endswith("/5_to_99_triangles")
+        by_size = client.get_metric_history(run.info.run_id, bucket)
+        assert [m.step for m in by_size] == [m.step for m in whole] == [1, 3]
+        np.testing.assert_allclose([m.value for m in by_size], [m.value for m in whole], rtol=1e-4)
+    pictures = {path.name for path in (folder / "run" / "panels").iterdir()}
+    assert pictures == {f"{sheet}-00000{step}.png" for sheet in ("panels", "bounces") for step in (2, 4)}
+    assert len([a for a in client.list_artifacts(run.info.run_id, "images") if a.path.endswith(".png")]) == 4
+
+
+def test_the_run_says_what_ran(tracked):
+    _, checkpoint, client, run = tracked
+    assert run.info.status == "FINISHED"
+    assert run.data.params["model.transport.iterations"] == "3"
+    tags = run.data.tags
+    assert {"code_version", "data_manifest", "host", "run_dir"} <= tags.keys()
+    assert tags["resumed"] == "0"
+    (used,) = run.inputs.dataset_inputs
+    assert load_network(checkpoint)[1].data_manifest.startswith(used.dataset.digest)
+    assert [a.path for a in client.list_artifacts(run.info.run_id, "config")] == ["config/config.yaml"]
+    changed = tags["code_version"].endswith("-dirty")
+    assert [a.path for a in client.list_artifacts(run.info.run_id, "code")] == ["code/code.diff"] * changed
+
+
+def test_the_best_checkpoint_is_loaded_from_the_registry(tracked):
+    folder, checkpoint, client, run = tracked
+    fetched = checkpoint_file("models:/rfpp-debug/1", None, folder)
+    ours, registered = (Renderer.load(path, "cpu") for path in (checkpoint, fetched))
+    assert registered.info == ours.info
+    weights = ours.network.state_dict()
+    assert all((weights[name] == value).all() for name, value in registered.network.state_dict().items())
+    assert checkpoint_file("models:/rfpp-debug/latest", None, folder) == fetched
+    version = client.get_model_version("rfpp-debug", "1")
+    assert version.run_id == run.info.run_id
+    description = Path(client.download_artifacts(run.info.run_id, "model/MLmodel", str(folder))).read_text()
+    assert '"name": "scene"' in description
+    assert "loader_module" not in description  # nothing that MLflow would execute
+
+
+@pytest.mark.parametrize(
+    ("uri", "problem"),
+    [("models:/rfpp-debug/7", "cannot be fetched"), ("models:/nothing/latest", "no version"), ("models:/x", "write")],
+)
+def test_a_model_that_is_not_there_is_one_clear_line(tracked, uri, problem):
+    with pytest.raises(CheckpointError, match=problem):
+        checkpoint_file(uri, None, tracked[0])
+
+
+def test_other_checkpoints_are_left_as_they_are(tmp_path):
+    assert checkpoint_file("a/best.ckpt", None, tmp_path) == "a/best.ckpt"
