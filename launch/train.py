@@ -32,6 +32,7 @@ from rfpp.training.run import (
     write_config,
 )
 from rfpp.training.stopping import StoppedError, end_early
+from rfpp.training.summary import end_summary
 from rfpp.training.tracking import code_version
 
 
@@ -90,7 +91,7 @@ def main(cfg: DictConfig) -> Path | None:
         config_file = write_config(cfg, run_dir)
         point_at(run_dir, run_dir.with_name("latest"))
         tags = {"code_version": info.commit or "unknown", "data_manifest": info.data_manifest, "run_dir": str(run_dir)}
-        describe_run(logger, config, config_file, tags)
+        logger.describe(config, config_file, datamodule.manifest, tags)
     try:
         with same_folder_in_children(run_dir):
             trainer.fit(module, datamodule, ckpt_path=resumed, weights_only=True)
@@ -102,9 +103,10 @@ def main(cfg: DictConfig) -> Path | None:
         raise
     if not tracked:
         return None
-    best = Path(trainer.checkpoint_callback.best_model_path)
+    # a data set without a validation split knows no best
+    best = Path(trainer.checkpoint_callback.best_model_path or run_dir / "checkpoints" / "last.ckpt")
     if trainer.is_global_zero:
-        console.print(f"Best checkpoint: {best}\nMLflow run: {logger.run_id} in {info.mlflow_tracking_uri}")
+        console.print(end_summary(logger, best, cfg.data.root, cfg.callbacks.best.monitor), soft_wrap=True)
     return best
 
 
