@@ -25,6 +25,7 @@ from rfpp.reference.cycles import render as path_trace
 from rfpp.reference.farm import RenderFarm
 from rfpp.scene.packed import PackedScene, pack
 from rfpp.training.run import write_config
+from rfpp.training.tracking.registry import checkpoint_file
 
 
 @entry_point("render", CONFIG_DIR / "render")
@@ -32,7 +33,8 @@ def main(cfg: DictConfig) -> list[Path]:
     """Render `cfg.scene` with `cfg.checkpoint`; returns the EXR files, one for each camera."""
     console = Console(highlight=False, soft_wrap=True)
     scene = with_cameras(pack(Scene.load(required(cfg, "scene"))), cfg.cameras)
-    renderer = Renderer.load(required(cfg, "checkpoint"), cfg.device)
+    checkpoint = checkpoint_file(required(cfg, "checkpoint"), cfg.registry.tracking_uri, Path(cfg.registry.folder))
+    renderer = Renderer.load(checkpoint, cfg.device)
     resolution = OmegaConf.to_object(cfg.resolution) if OmegaConf.is_list(cfg.resolution) else cfg.resolution
     height, width = renderer.image_size(tuple(resolution) if isinstance(resolution, list) else resolution)
 

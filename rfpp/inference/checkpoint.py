@@ -106,6 +106,11 @@ def load_initial_weights(network: nn.Module, path: Path | str) -> None:
 
 def _read(path: Path) -> tuple[CheckpointInfo, dict[str, torch.Tensor]]:
     """What a checkpoint file of ours says about itself, and its network's weights."""
+    if path.parts[0] == "models:":
+        raise CheckpointError(
+            f"{path}: is a model of MLflow's registry: give it to launch/render.py or launch/evaluate.py, or fetch its "
+            "file by rfpp.training.tracking.registry.checkpoint_file"
+        )
     if not path.is_file():
         raise CheckpointError(f"{path}: no such checkpoint: train one with launch/train.py, or correct the path")
     try:

@@ -35,7 +35,9 @@ def end_summary(logger: RunFolderLogger, checkpoint: Path, data_root: str, monit
     if logger.registered_model:
         lines.append(f"Model    {logger.registered_model}")
     lines += [
-        f"MLflow   run {logger.run_id or 'not made yet'} in {logger.tracking_uri}",
+        f"MLflow   run {logger.run_id or 'not made yet'}, mlflow ui --backend-store-uri {logger.tracking_uri}"
+        if logger.tracking_uri.startswith("sqlite:")
+        else f"MLflow   run {logger.run_id or 'not made yet'} at {logger.tracking_uri}",
         f"Evaluate python launch/evaluate.py data.root={data_root} checkpoint={checkpoint}",
         f"Render   python launch/render.py scene=data/scenes/cornell_box.json checkpoint={checkpoint}",
     ]

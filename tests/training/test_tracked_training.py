@@ -73,6 +73,7 @@ def test_every_validation_is_scored_by_size_and_shown(tracked):
     pictures = {path.name for path in (folder / "run" / "panels").iterdir()}
     assert pictures == {f"{sheet}-00000{step}.png" for sheet in ("panels", "bounces") for step in (2, 4)}
     assert len([a for a in client.list_artifacts(run.info.run_id, "images") if a.path.endswith(".png")]) == 4
+    assert {Path(a.path).name for a in client.list_artifacts(run.info.run_id, "panels")} == pictures
 
 
 def test_the_run_says_what_ran(tracked):
@@ -115,3 +116,18 @@ def test_a_model_that_is_not_there_is_one_clear_line(tracked, uri, problem):
 
 def test_other_checkpoints_are_left_as_they_are(tmp_path):
     assert checkpoint_file("a/best.ckpt", None, tmp_path) == "a/best.ckpt"
+
+
+def test_a_registered_model_renders(tracked, tmp_path):
+    from launch.render import main
+
+    folder = CONFIG_DIR / "render"
+    with initialize_config_dir(str(folder), version_base="1.3"):
+        overrides = [
+            f"scene={CONFIG_DIR.parent}/data/scenes/cornell_box.json", "checkpoint=models:/rfpp-debug/1",
+            f"registry.folder={tracked[0]}", f"output={tmp_path}/box.exr", "cameras=[0]", "resolution=8", "device=cpu",
+        ]  # fmt: skip
+        cfg = compose("render", overrides=overrides)
+    assert main.__wrapped__(cfg) == [tmp_path / "box.exr"]
+    with pytest.raises(CheckpointError, match=r"checkpoint_file"):
+        Renderer.load("models:/rfpp-debug/1")

@@ -119,7 +119,9 @@ def test_nothing_is_written_to_the_current_directory(store, tmp_path, monkeypatc
 
 
 def test_a_lost_run_id_is_found_again(store):
-    logger(store).finalize("success")
+    first = logger(store)
+    first.log_metrics({"a": 0.0}, 2)
+    first.finalize("success")
     target = store / "run/tracking/run.json"
     target.write_text(json.dumps(json.loads(target.read_text()) | {"run_id": None}))  # killed before it was noted
     again = logger(store)
@@ -131,7 +133,10 @@ def test_a_lost_run_id_is_found_again(store):
 
 def test_runs_of_a_sweep_share_one_parent(store):
     for name in ("one", "two"):
-        logger(store, run=name, parent="sweep").finalize("failed")
+        child = logger(store, run=name, parent="sweep")
+        child.log_hyperparams({})
+        assert child.run_id is not None
+        child.finalize("failed")
     by_name = {run.info.run_name: run for run in runs(store)}
     assert by_name.keys() == {"one", "two", "sweep"}
     parents = {by_name[name].data.tags["mlflow.parentRunId"] for name in ("one", "two")}
@@ -250,11 +255,16 @@ def test_a_damaged_record_is_warned_of_and_left_out(tmp_path):
         assert [record["kind"] for record, _ in records(path)] == ["tags"]
 
 
+def test_a_run_that_is_refused_before_it_logs_is_no_run(store):
+    logger(store).finalize("failed")
+    assert not (store / "run").exists()
+
+
 def test_a_damaged_run_file_is_one_clear_line(store):
     (store / "run/tracking").mkdir(parents=True)
     (store / "run/tracking/run.json").write_text("{")
     with pytest.raises(UserError, match=r"run\.json.*delete it"):
-        logger(store)
+        logger(store).log_hyperparams({})
 
 
 def _png(path):

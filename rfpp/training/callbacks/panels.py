@@ -20,7 +20,9 @@ Row = dict[str, dict[str, Picture]]
 
 
 class ImagePanels(L.Callback):
-    """Writes sheets into a folder, a row for each scene, and logs them to MLflow as image charts.
+    """Writes sheets into a folder, a row for each scene, and logs them to MLflow.
+
+    As artifacts, which are easiest to look at, and as image charts, where runs can be compared step by step:
 
     `images/panels`: reference, prediction, signed error and, for networks that are given it, the albedo.
     `images/bounces`: the image decoded after each application of the transport operator, for networks that have one.
@@ -61,6 +63,7 @@ class ImagePanels(L.Callback):
             for logger in trainer.loggers:
                 if isinstance(logger, RunFolderLogger):
                     logger.log_picture(f"images/{sheet}", path, trainer.global_step)
+                    logger.log_file(path, "panels")
 
 
 @torch.no_grad()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -50,15 +51,27 @@ class RunFolderLogger(Logger):
         super().__init__()
         self.run_dir, self.patience, self._run_name = Path(run_dir), patience, run_name
         self._statuses = {"success": "FINISHED", "failed": "FAILED"}  # Lightning's words and MLflow's
-        self._sender: Sender | None = None
-        if rank_zero_only.rank == 0:
-            target = self.run_dir / "tracking" / TARGET
-            if not target.exists():
-                Target.new(folder, tracking_uri, experiment_name, run_name, parent).write(target)
-            self._journal = Journal(self.run_dir / "tracking" / JOURNAL)
-            self._journal.append("status", value="RUNNING")
-            self._sender = Sender(self.run_dir)
-            self._sender.start()
+        self._new_target = partial(Target.new, folder, tracking_uri, experiment_name, run_name, parent)
+
+    @cached_property
+    def _begun(self) -> tuple[Journal, Sender]:
+        """On rank 0 alone, by what is asked or logged first: a run that is refused before then is no run."""
+        target = self.run_dir / "tracking" / TARGET
+        if not target.exists():
+            self._new_target().write(target)
+        journal = Journal(self.run_dir / "tracking" / JOURNAL)
+        journal.append("status", value="RUNNING")
+        sender = Sender(self.run_dir)
+        sender.start()
+        return journal, sender
+
+    @property
+    def _journal(self) -> Journal:
+        return self._begun[0]
+
+    @property
+    def _sender(self) -> Sender | None:
+        return self._begun[1] if rank_zero_only.rank == 0 else None
 
     @property
     def name(self) -> str:
@@ -136,6 +149,8 @@ class RunFolderLogger(Logger):
 
     @rank_zero_only
     def finalize(self, status: str) -> None:
+        if "_begun" not in self.__dict__:
+            return  # nothing has been logged
         self._journal.append("status", value=self._statuses[status])
         self._journal.sync()
         if not self._sender.close(self.patience):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import os
 import socket
 import uuid
@@ -24,7 +25,9 @@ FOLDER_TAG = "run_folder_id"
 
 
 def connected(tracking_uri: str) -> MlflowClient:
-    """A client that fails soon; the environment's own settings of MLflow's retries hold."""
+    """A client that fails soon and makes no words; the environment's own settings of MLflow's retries hold."""
+    logging.getLogger("mlflow.store.db.utils").setLevel(logging.WARNING)
+    logging.getLogger("alembic").setLevel(logging.WARNING)
     for name, value in ONE_TRY.items():
         os.environ.setdefault(name, value)
     return MlflowClient(tracking_uri)
@@ -33,6 +36,10 @@ def connected(tracking_uri: str) -> MlflowClient:
 def store_uri(folder: str | Path) -> str:
     """Tracking URI of the MLflow store in a folder: SQLite, no server needed."""
     return f"sqlite:///{Path(folder).resolve() / 'mlflow.db'}"
+
+
+#: MLflow's pages begin with what is there for training, not with what is there for language models.
+SHOWN_AS = {"mlflow.experimentKind": "custom_model_development"}
 
 
 @dataclass(frozen=True)
@@ -103,7 +110,7 @@ class Target:
 
 def _experiment(client: MlflowClient, name: str, artifact_location: str | None) -> Experiment:
     found = client.get_experiment_by_name(name)
-    return found or client.get_experiment(client.create_experiment(name, artifact_location))
+    return found or client.get_experiment(client.create_experiment(name, artifact_location, SHOWN_AS))
 
 
 def _parent_run(client: MlflowClient, experiment: str, name: str) -> str:
