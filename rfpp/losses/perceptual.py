@@ -19,6 +19,7 @@ class PerceptualLoss:
 
     Args:
         images_per_step: read at most this many images of a batch, the first ones, at full resolution; None reads all.
+            Where a step has several batches, on several devices or one after the other, so many of each.
         trunk_path: VGG16 weights to use instead of the cached or fetched ones.
 
     Raises:

@@ -7,6 +7,7 @@ from pathlib import Path
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from rfpp.batch import Segments
 from rfpp.losses.perceptual import PerceptualLoss
 from rfpp.losses.radiance import log_l1
 from rfpp.losses.transport_consistency import TransportConsistency
@@ -40,11 +41,12 @@ class RenderingLoss(nn.Module):
         log_radiance: Float[Tensor, "b v 3 h w"],
         transport_states: tuple[Tensor, ...],
         target: Float[Tensor, "b v 3 h w"],
+        scenes: Segments | None = None,
     ) -> dict[str, Tensor]:
         """Every term, unweighted, under its own name; `loss` is their weighted sum.
 
         Names: loss, l1, lpips (where weighted), consistency and consistency_1 … consistency_K (where there are
-        transport states). `target` is linear radiance.
+        transport states). `target` is linear radiance; `scenes`: see TransportConsistency.
         """
         terms = {"l1": log_l1(log_radiance, target)}
         loss = self.l1_weight * terms["l1"]
@@ -52,7 +54,7 @@ class RenderingLoss(nn.Module):
             terms["lpips"] = self.perceptual(log_radiance, target)
             loss = loss + self.lpips_weight * terms["lpips"]
         if transport_states:
-            residuals = self.consistency(transport_states)
+            residuals = self.consistency(transport_states, scenes)
             terms["consistency"] = residuals.sum()
             terms |= {f"consistency_{k}": r for k, r in enumerate(residuals, start=1)}
             loss = loss + self.consistency_weight * terms["consistency"]

@@ -9,11 +9,14 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from rfpp.batch import Segments
+
 
 class TransportConsistency(nn.Module):
     """Residuals ‖⁽ᵏ⁾F_s − T(⁽ᵏ⁾F_s + F_e)‖² for k = 1 … K, each a mean square over tokens and channels, in fp32.
 
-    The operator's output at k is the next state, so K + 1 consecutive states hold everything.
+    The operator's output at k is the next state, so K + 1 consecutive states hold everything. Every scene has the same
+    weight, whatever its number of tokens: how a global batch is divided among devices then makes no difference.
 
     Args:
         stop_gradient: hold the updated state fixed, so that only the current one is pulled.
@@ -23,10 +26,24 @@ class TransportConsistency(nn.Module):
         super().__init__()
         self.stop_gradient = stop_gradient
 
-    def forward(self, states: Sequence[Float[Tensor, "n width"]]) -> Float[Tensor, " k"]:
-        """[K] residuals; the loss is their sum. `states` are K + 1 scattered features, or none (then K = 0)."""
+    def forward(
+        self, states: Sequence[Float[Tensor, "n width"]], scenes: Segments | None = None
+    ) -> Float[Tensor, " k"]:
+        """[K] residuals; the loss is their sum.
+
+        Args:
+            states: K + 1 scattered features, or none (then K = 0).
+            scenes: segments of the N tokens; None: they are all of one scene.
+        """
         residuals = []
         for current, updated in pairwise(states):
             target = updated.detach() if self.stop_gradient else updated
-            residuals.append((current.float() - target.float()).square().mean())
+            square = (current.float() - target.float()).square().mean(-1)  # [N]
+            residuals.append(square.mean() if scenes is None else square @ _weights(scenes))
         return torch.stack(residuals) if residuals else torch.zeros(0)
+
+
+def _weights(scenes: Segments) -> Float[Tensor, " n"]:
+    """[N] summing to 1, each scene's to the same."""
+    lengths = torch.tensor(scenes.lengths, dtype=torch.float32, device=scenes.offsets.device)
+    return (1 / (len(scenes) * lengths))[scenes.index]

@@ -30,6 +30,8 @@ class SceneDataModule(L.LightningDataModule):
         cache: where a remote data set is fetched to.
         gbuffer_channels: what the network reads, in order.
         scenes_per_step: scenes in a global batch, over all devices.
+        scenes_per_device: scenes that a device holds at once, at most; the rest of its share of the global batch comes
+            after, with gradients accumulated. None: its whole share at once.
         views_per_scene: views of each of them; scenes x views is the batch size the paper speaks of.
         training_scenes: use only the first so many scenes of the `train` split; None uses all.
         validation_scenes: how many scenes of the `validation` split to use at most.
@@ -47,6 +49,7 @@ class SceneDataModule(L.LightningDataModule):
         cache: ShardCache,
         gbuffer_channels: Sequence[str],
         scenes_per_step: int,
+        scenes_per_device: int | None,
         views_per_scene: int,
         training_scenes: int | None,
         validation_scenes: int,
@@ -59,36 +62,56 @@ class SceneDataModule(L.LightningDataModule):
     ):
         super().__init__()
         self.root, self.cache, self.channels = root, cache, tuple(gbuffer_channels)
-        self.scenes_per_step, self.views_per_scene = scenes_per_step, views_per_scene
+        self.scenes_per_step, self.scenes_per_device = scenes_per_step, scenes_per_device
+        self.views_per_scene = views_per_scene
         self.training_scenes, self.validation_scenes = training_scenes, validation_scenes
         self.shuffle_shards, self.skip_corrupt = shuffle_shards, skip_corrupt
         self.rigid_augmentation, self.colour_augmentation = rigid_augmentation, colour_augmentation
         self.workers, self.seed = workers, seed
-        self._batches_before = 0
+        self._steps_before = 0
 
     @cached_property
     def manifest(self) -> Manifest:
         """Raises ShardError when there is no data set at `root`."""
         return Manifest.load(self.root, self.cache)
 
+    def accumulation(self, devices: int) -> int:
+        """How many batches each of so many devices takes for one step, as few as it can hold.
+
+        Raises:
+            UserError: the global batch does not divide among the devices.
+        """
+        share, left = divmod(self.scenes_per_step, devices)
+        if left or not share:
+            raise UserError(
+                f"datamodule.scenes_per_step={self.scenes_per_step} does not divide among {devices} devices "
+                "(trainer.devices x trainer.num_nodes): choose a multiple"
+            )
+        most = share if self.scenes_per_device is None else self.scenes_per_device
+        if most < 1:
+            raise UserError(
+                f"datamodule.scenes_per_device={most}: a device must hold a scene at least, or null for all"
+            )
+        return next(n for n in range(1, share + 1) if share % n == 0 and share // n <= most)
+
+    @property
+    def scenes_per_batch(self) -> int:
+        """Scenes that a device gets at once, when all can be read."""
+        return self.scenes_per_step // (self.trainer.world_size * self.trainer.accumulate_grad_batches)
+
     def train_dataloader(self) -> DataLoader:
         split = ShardSplit(self.root, "train", self.cache, require_all=not self.skip_corrupt)
         if len(split) == 0:
             raise ShardError(f"{self.root}: the train split is empty: generate data with data.splits.train above 0")
         trainer = self.trainer
-        devices = trainer.world_size
-        if self.scenes_per_step % devices:
-            raise UserError(
-                f"datamodule.scenes_per_step={self.scenes_per_step} does not divide among {devices} devices: "
-                "choose a multiple"
-            )
         batches = GlobalBatches(
             ShuffledOrder(leading(split.sizes, self.training_scenes or len(split)), self.seed, self.shuffle_shards),
             scenes_per_batch=self.scenes_per_step,
-            batches=trainer.max_steps * trainer.accumulate_grad_batches,
-            start=self._batches_before,
+            batches=trainer.max_steps,
+            start=self._steps_before,
             rank=trainer.global_rank,
-            ranks=devices,
+            ranks=trainer.world_size,
+            accumulate=trainer.accumulate_grad_batches,
         )
         views = TrainingViews(
             split, self.channels, self.views_per_scene, self.rigid_augmentation, self.colour_augmentation, self.seed
@@ -105,7 +128,7 @@ class SceneDataModule(L.LightningDataModule):
 
     def state_dict(self) -> dict[str, Any]:
         """The order and how far training has come in it; the loader itself is ahead, as its processes prefetch."""
-        return {"order": self._order, "batches": self.trainer.global_step * self.trainer.accumulate_grad_batches}
+        return {"order": self._order, "steps": self.trainer.global_step}
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         """Continue where the state was taken, on any number of devices. Raises UserError when the order is another."""
@@ -115,7 +138,7 @@ class SceneDataModule(L.LightningDataModule):
                     f"the run to resume had {name}={before}, this one {self._order[name]}, which gives its batches in "
                     f"another order: set it so, or start anew from its weights (initial_weights)"
                 )
-        self._batches_before = state_dict["batches"]
+        self._steps_before = state_dict["steps"]
 
     @property
     def _order(self) -> dict[str, Any]:

@@ -50,15 +50,17 @@ class RenderingModule(L.LightningModule):
 
     def training_step(self, batch: RaggedBatch, _: int) -> dict[str, Tensor]:
         rendering = self(batch)
-        terms = self.loss(rendering.log_radiance, rendering.transport_states, batch.image)
+        terms = self.loss(rendering.log_radiance, rendering.transport_states, batch.image, rendering.token_segments)
         named_elsewhere = ("loss", "consistency_")  # the second by ConsistencyMonitor
         scalars = {f"train/{k}": v.detach() for k, v in terms.items() if not k.startswith(named_elsewhere)}
         self.log("train/loss", terms["loss"].detach(), prog_bar=True, batch_size=len(batch.keys))
         self.log_dict(scalars, batch_size=len(batch.keys))
-        return terms
+        # a step takes the mean over its batches: where scenes were left out, those that are there keep their weight
+        loss = terms["loss"] * (len(batch.keys) / self.trainer.datamodule.scenes_per_batch)
+        return terms | {"loss": loss, "tokens": torch.tensor(rendering.token_segments.total)}
 
-    def validation_step(self, batch: RaggedBatch, _: int) -> Tensor:
-        """Logs every metric; returns the predicted radiance [B, V, 3, H, W] for the callbacks."""
+    def validation_step(self, batch: RaggedBatch, _: int) -> dict[str, Tensor]:
+        """Logs every metric; returns for the callbacks `radiance` [B, V, 3, H, W] and every metric's values [B · V]."""
         radiance = log_decode(self(batch).log_radiance)
         values = self.metrics(radiance.flatten(0, 1), batch.image.flatten(0, 1))
         for name, per_image in values.items():
@@ -69,7 +71,7 @@ class RenderingModule(L.LightningModule):
                 sync_dist=True,
                 prog_bar=name == "log_l1",
             )
-        return radiance
+        return {"radiance": radiance, **values}
 
     def configure_optimizers(self) -> dict[str, Any]:
         optimizer = self._optimizer(decay_groups(self.network))
@@ -86,7 +88,9 @@ class RenderingModule(L.LightningModule):
         self.log("train/gradient_norm", norm)
 
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
-        checkpoint[CHECKPOINT_KEY] = replace(self.info, steps=self.global_step).to_dict()
+        checkpoint[CHECKPOINT_KEY] = replace(
+            self.info, steps=self.global_step, mlflow_run_id=getattr(self.logger, "run_id", None)
+        ).to_dict()
 
 
 def decay_groups(network: nn.Module) -> list[dict]:

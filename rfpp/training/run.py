@@ -3,13 +3,25 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
+from typing import Any
 
+import lightning as L
+from lightning.pytorch.plugins.environments import SLURMEnvironment
 from omegaconf import DictConfig, OmegaConf
 from torch import nn
+from torch.utils.checkpoint import checkpoint
 
+from rfpp.model.block import CrossBlock, SelfBlock
 from rfpp.scene.files import write_atomically
+from rfpp.training.checkpoints import AtomicCheckpointIO
 from rfpp.training.datamodule import SceneDataModule
+
+#: Environment variable with the name of the run's folder, where it is not the time of starting (conf/common.yaml).
+RUN_VARIABLE = "RFPP_RUN"
 
 
 def write_config(cfg: DictConfig, folder: Path, name: str = "config.yaml") -> Path:
@@ -17,13 +29,43 @@ def write_config(cfg: DictConfig, folder: Path, name: str = "config.yaml") -> Pa
     return write_atomically(folder / name, OmegaConf.to_yaml(cfg, resolve=True).encode())
 
 
-def point_latest_at(run_dir: Path) -> None:
-    """Make `latest` beside the run's folder a link to it, so that other commands can name the newest run."""
-    link = run_dir.parent / "latest"
-    temporary = run_dir.parent / f".latest-{os.getpid()}"
-    temporary.unlink(missing_ok=True)
-    temporary.symlink_to(run_dir.name)
-    os.replace(temporary, link)
+def divide_global_batch(trainer: L.Trainer, datamodule: SceneDataModule) -> None:
+    """Make every step of the trainer one global batch, whatever the number of devices.
+
+    Lightning counts batches between validations, the configuration optimizer steps; a run shorter than that validates
+    at its end.
+
+    Raises:
+        UserError: the global batch does not divide among the devices.
+    """
+    trainer.accumulate_grad_batches = datamodule.accumulation(trainer.world_size)
+    if not trainer.fast_dev_run:
+        trainer.val_check_interval = (
+            min(trainer.val_check_interval, trainer.max_steps) * trainer.accumulate_grad_batches
+        )
+
+
+def trainer_plugins() -> list[Any]:
+    """Checkpoints written whole; under Slurm none of Lightning's requeueing, which saves inside the signal handler."""
+    slurm = [SLURMEnvironment(auto_requeue=False)] if SLURMEnvironment.detect() else []
+    return [AtomicCheckpointIO(), *slurm]
+
+
+def checkpoint_activations(network: nn.Module) -> None:
+    """Let every transformer block forget its activations and compute them again in the backward pass."""
+    for block in network.modules():
+        if isinstance(block, SelfBlock | CrossBlock):
+            block.forward = partial(checkpoint, block.forward, use_reentrant=False)
+
+
+@contextmanager
+def same_folder_in_children(run_dir: Path) -> Iterator[None]:
+    """Processes started here, one per further device, compose the configuration anew: later, but with this folder."""
+    os.environ[RUN_VARIABLE] = run_dir.name
+    try:
+        yield
+    finally:
+        del os.environ[RUN_VARIABLE]
 
 
 def parameter_counts(network: nn.Module) -> dict[str, int]:

@@ -146,32 +146,43 @@ class GlobalBatches(Sampler[list[tuple[int, int]]]):
     """One rank's share of each global batch, for a whole run: lists of (epoch, scene index).
 
     The global order runs through epoch after epoch and is the same for any number of ranks; rank r takes the
-    r-th part of each global batch.
+    r-th part of each global batch, in `accumulate` smaller batches one after the other.
 
     Args:
         order: of the scenes.
         scenes_per_batch: global, over all ranks.
-        batches: in the whole run.
+        batches: global ones in the whole run.
         start: how many of them were trained on before.
         rank, ranks: which part to take.
+        accumulate: in how many batches to give the part.
     """
 
     def __init__(
-        self, order: ShuffledOrder, scenes_per_batch: int, batches: int, start: int = 0, rank: int = 0, ranks: int = 1
+        self,
+        order: ShuffledOrder,
+        scenes_per_batch: int,
+        batches: int,
+        start: int = 0,
+        rank: int = 0,
+        ranks: int = 1,
+        accumulate: int = 1,
     ):
-        if scenes_per_batch % ranks:
-            raise ValueError(f"{scenes_per_batch} scenes per step do not divide among {ranks} ranks")
+        if scenes_per_batch % (ranks * accumulate):
+            raise ValueError(
+                f"{scenes_per_batch} scenes per step do not divide among {ranks} ranks, {accumulate} batches each"
+            )
         self.order, self.scenes_per_batch = order, scenes_per_batch
         self.batches, self.start = batches, start
-        self.rank, self.ranks = rank, ranks
+        self.rank, self.ranks, self.accumulate = rank, ranks, accumulate
 
     def __len__(self) -> int:
-        """Batches in the whole run, as Lightning counts on from `start` itself."""
-        return self.batches
+        """Batches of this rank in the whole run, as Lightning counts on from `start` itself."""
+        return self.batches * self.accumulate
 
     def __iter__(self) -> Iterator[list[tuple[int, int]]]:
         draws = self.order.draws(self.start * self.scenes_per_batch)
-        share = self.scenes_per_batch // self.ranks
+        size = self.scenes_per_batch // (self.ranks * self.accumulate)
         for _ in range(self.start, self.batches):
             batch = list(islice(draws, self.scenes_per_batch))
-            yield batch[self.rank * share : (self.rank + 1) * share]
+            for part in range(self.rank * self.accumulate, (self.rank + 1) * self.accumulate):
+                yield batch[part * size : (part + 1) * size]

@@ -8,7 +8,7 @@ import torch
 from networks import network
 from random_scenes import random_views
 
-from rfpp.batch import RaggedBatch
+from rfpp.batch import RaggedBatch, Segments
 from rfpp.losses.transport_consistency import TransportConsistency
 from rfpp.model.block import RMSNorm
 from rfpp.model.encoding import FrequencyEncoding, RelativeSpatialEncoding, rotate
@@ -90,6 +90,13 @@ def test_transport_states_cannot_shrink(batch):
 def test_consistency_residual_is_the_mean_square_and_vanishes_at_a_fixed_point():
     a, b = torch.zeros(4, 6), torch.full((4, 6), 0.5)
     torch.testing.assert_close(TransportConsistency()([a, b, b]), torch.tensor([0.25, 0.0]))
+
+
+def test_scenes_of_a_batch_weigh_the_same_in_the_consistency_residual():
+    states = list(torch.randn(2, 7, 6))
+    apart = [TransportConsistency()([state[rows] for state in states]) for rows in (slice(0, 2), slice(2, 7))]
+    together = TransportConsistency()(states, Segments.from_lengths([2, 5]))
+    torch.testing.assert_close(together, sum(apart) / 2)
 
 
 def test_stop_gradient_only_pulls_the_current_state():

@@ -32,6 +32,7 @@ def datamodule(root, rank: int = 0, ranks: int = 1, accumulate: int = 1, steps: 
     """A data module whose trainer is one of `ranks`."""
     settings = {
         "root": root, "cache": ShardCache("unused", 1.0), "gbuffer_channels": ("albedo",), "scenes_per_step": PER_STEP,
+        "scenes_per_device": None,
         "views_per_scene": 1, "training_scenes": None, "validation_scenes": 1, "shuffle_shards": 2,
         "skip_corrupt": False, "rigid_augmentation": RigidAugmentation(1.0, 0.25), "colour_augmentation": None,
         "workers": 0, "seed": 5,
@@ -90,10 +91,39 @@ def test_resuming_at_any_step_gives_the_rest(root, uninterrupted, step):
         assert keys == [[key for key, _ in batch] for batch in uninterrupted[step:]]
 
 
-def test_the_position_counts_every_batch_of_a_step(root):
-    data = datamodule(root, accumulate=3)
-    data.trainer.global_step = 2
-    assert data.state_dict()["batches"] == 6
+@pytest.mark.parametrize(
+    ("per_step", "per_device", "devices", "batches"),
+    [(16, None, 8, 1), (16, 2, 8, 1), (16, 2, 1, 8), (16, 2, 2, 4), (12, 5, 1, 3), (7, 3, 1, 7), (16, 2, 16, 1)],
+)
+def test_a_device_accumulates_what_it_cannot_hold(root, per_step, per_device, devices, batches):
+    data = datamodule(root, scenes_per_step=per_step, scenes_per_device=per_device)
+    assert data.accumulation(devices) == batches
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        ({"scenes_per_step": 16}, r"scenes_per_step=16 does not divide among 3 devices .*choose a multiple"),
+        ({"scenes_per_step": 0}, "scenes_per_step=0 does not divide"),
+        ({"scenes_per_step": 3, "scenes_per_device": 0}, "scenes_per_device=0: a device must hold a scene"),
+    ],
+)
+def test_arithmetic_that_cannot_be_is_refused(root, change, named):
+    with pytest.raises(UserError, match=named):
+        datamodule(root, **change).accumulation(3)
+
+
+def test_accumulation_divides_the_same_batches(root, uninterrupted):
+    def keys(batches):
+        return [key for batch in batches for key in batch.keys]
+
+    whole = [key for batch in uninterrupted for key, _ in batch]
+    halves = list(datamodule(root, accumulate=2).train_dataloader())
+    assert len(halves) == 2 * STEPS
+    assert keys(halves) == whole
+    quarters = [list(datamodule(root, rank, 2, accumulate=2).train_dataloader()) for rank in (0, 1)]
+    steps = zip(*(zip(part[::2], part[1::2], strict=True) for part in quarters), strict=True)
+    assert [key for step in steps for parts in step for key in keys(parts)] == whole
 
 
 @pytest.mark.parametrize(

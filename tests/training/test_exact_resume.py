@@ -1,0 +1,145 @@
+"""Whatever stops a training run, and whoever goes on with it: the weights are those of a run that was never stopped."""
+
+import json
+import os
+import shutil
+import signal
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from safetensors import safe_open
+from small_data import make
+from training_runs import differing, finish, output, start, train, wait_for_step
+
+from rfpp.training.checkpoints import step_file, step_files
+
+STEPS = 10
+RUN = (f"steps={STEPS}", "trainer.val_check_interval=4")
+#: Where summing in another order may not be magnified, as Adam does with gradients near zero.
+PLAIN_DESCENT = ("optimizer._target_=torch.optim.SGD", "trainer.precision=32-true")
+PRECISIONS = {"fp32": ("trainer.precision=32-true", "callbacks=ema"), "bf16": ("trainer.precision=bf16-mixed",)}
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory) -> Path:
+    splits = {"train": 7, "validation": 2}
+    return Path(make(tmp_path_factory.mktemp("data") / "small", splits=splits).root)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    return tmp_path_factory.mktemp("runs")
+
+
+@pytest.fixture(scope="module")
+def uninterrupted(folder, data):
+    """The run folder of each precision; three checkpoints are in it."""
+    for name, settings in PRECISIONS.items():
+        train(folder / name, data, *RUN, *settings)
+    return {name: folder / name for name in PRECISIONS}
+
+
+@pytest.fixture(scope="module")
+def two_ranks(folder, data):
+    return train(folder / "two-ranks", data, *RUN, *PLAIN_DESCENT, ranks=2)
+
+
+def last(run_dir: Path) -> dict:
+    return torch.load(run_dir / "checkpoints" / "last.ckpt", weights_only=True)
+
+
+def weights(checkpoint: dict) -> torch.Tensor:
+    return torch.cat([w.flatten() for name, w in sorted(checkpoint["state_dict"].items())])
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+def test_killed_at_random_moments_it_ends_with_the_same_bits(precision, uninterrupted, data, folder):
+    run_dir, rng = folder / f"killed-{precision}", np.random.default_rng(len(precision))
+    for step in (1, 4, 7):  # step 4 is followed by a validation
+        (process,) = start(run_dir, data, *RUN, *PRECISIONS[precision])
+        wait_for_step(run_dir, step)
+        time.sleep(rng.uniform(0, 0.2))
+        os.kill(process.pid, signal.SIGKILL)
+        assert finish([process]) in ([-signal.SIGKILL], [0]), output(run_dir)
+    ended = train(run_dir, data, *RUN, *PRECISIONS[precision])
+    whole = last(uninterrupted[precision])
+    assert ended["global_step"] == STEPS
+    assert differing(ended, whole) == [], output(run_dir)
+    assert ("current_model_state" in ended) == (precision == "fp32")  # with a moving average
+    scores = [
+        [s["best_model_score"] for s in c["callbacks"].values() if "best_model_score" in s] for c in (ended, whole)
+    ]
+    assert len(scores[0]) == 1 and scores[0] == scores[1]
+    assert not list((run_dir / "checkpoints").glob(".*"))
+
+
+def test_a_truncated_newest_checkpoint_is_passed_over(uninterrupted, data, folder):
+    run_dir = folder / "truncated"
+    shutil.copytree(uninterrupted["bf16"] / "checkpoints", run_dir / "checkpoints", symlinks=True)
+    newest = step_file(run_dir / "checkpoints", STEPS)
+    newest.write_bytes(newest.read_bytes()[:-1000])
+    ended = train(run_dir, data, *RUN, *PRECISIONS["bf16"])
+    assert f"warning: {newest}: truncated" in output(run_dir)
+    assert f"Goes on from {step_file(run_dir / 'checkpoints', STEPS - 1)}" in " ".join(output(run_dir).split())
+    assert differing(ended, last(uninterrupted["bf16"])) == []
+
+
+@pytest.mark.parametrize("how", ["accumulated", "two ranks", "one rank, then two"])
+def test_one_global_batch_is_one_step_however_it_is_divided(how, folder, data, two_ranks, request):
+    alone = request.getfixturevalue("alone")
+    if how == "two ranks":
+        other = two_ranks
+    elif how == "accumulated":
+        other = train(folder / "parts", data, *RUN, *PLAIN_DESCENT, "datamodule.scenes_per_device=2")
+    else:
+        run_dir = folder / "joined"
+        shutil.copytree(alone / "checkpoints", run_dir / "checkpoints", symlinks=True)
+        step_file(run_dir / "checkpoints", STEPS).unlink()
+        step_file(run_dir / "checkpoints", STEPS - 1).unlink()
+        other = train(run_dir, data, *RUN, *PLAIN_DESCENT, "datamodule.scenes_per_device=1", ranks=2)
+        assert len(other["random_states"]) == 2
+    assert other["global_step"] == STEPS
+    first = torch.load(step_file(alone / "checkpoints", STEPS - 2), weights_only=True)
+    moved = (weights(last(alone)) - weights(first)).abs().max()
+    assert (weights(other) - weights(last(alone))).abs().max() < 1e-3 * moved
+
+
+@pytest.fixture(scope="module")
+def alone(folder, data):
+    train(folder / "alone", data, *RUN, *PLAIN_DESCENT)
+    return folder / "alone"
+
+
+def test_ranks_stop_together_when_one_is_told_to_and_say_how_to_go_on(folder, data, two_ranks):
+    run_dir = folder / "stopped"
+    processes = start(run_dir, data, *RUN, *PLAIN_DESCENT, ranks=2)
+    wait_for_step(run_dir, 2)
+    os.kill(processes[1].pid, signal.SIGTERM)
+    assert finish(processes) == [128 + signal.SIGTERM, 0], output(run_dir)
+    stopped_at = last(run_dir)["global_step"]
+    assert 2 <= stopped_at < STEPS
+    said = f"stopped by SIGTERM after step {stopped_at} of {STEPS}: the same command with run_dir={run_dir} goes on"
+    assert said in output(run_dir)
+    ended = train(run_dir, data, *RUN, *PLAIN_DESCENT, ranks=2)
+    assert differing(ended, two_ranks) == []
+
+
+def test_a_loss_that_is_not_finite_stops_training_and_leaves_its_batch(folder, data):
+    run_dir = folder / "exploding"
+    settings = (*PLAIN_DESCENT, "optimizer.lr=1e30", "schedule.warmup_steps=1", "datamodule.scenes_per_device=2")
+    assert finish(start(run_dir, data, *RUN, *settings)) == [1]
+    errors = [line for line in output(run_dir).splitlines() if line.startswith("error: ")]
+    (path, *rest) = sorted((run_dir / "non_finite").iterdir())
+    step = int(path.name.split("-")[1])
+    assert len(errors) == 1 and f"step {step}: the loss or its gradient is not finite" in errors[0]
+    assert len(rest) == 1 and rest[0].name == f"step-{step:08d}-rank0-batch1.safetensors"
+    with safe_open(path, "pt") as file:
+        about = file.metadata()
+        assert file.get_tensor("image").shape == (2, 1, 3, 8, 8)
+        assert {"positions", "material", "objects", "scenes", "gbuffer", "c2w"} <= set(file.keys())
+    assert len(json.loads(about["keys"])) == 2
+    assert not np.isfinite(float(about["loss"]))
+    assert max(step_files(run_dir / "checkpoints")) == step_file(run_dir / "checkpoints", step - 1)
