@@ -54,7 +54,7 @@ def test_mlflow_knows_losses_consistency_config_versions_and_pictures(trained):
     assert run.data.tags["data_manifest"] == info.data_manifest
     assert run.data.tags["code_version"]
     assert [a.path for a in client.list_artifacts(run.info.run_id, "config")] == ["config/config.yaml"]
-    assert len([a for a in client.list_artifacts(run.info.run_id, "images") if a.path.endswith(".png")]) == 4
+    assert len(client.list_artifacts(run.info.run_id, "panels")) == 4
 
 
 def test_checkpoints_hold_the_network_alone(trained):

@@ -20,12 +20,12 @@ Row = dict[str, dict[str, Picture]]
 
 
 class ImagePanels(L.Callback):
-    """Writes sheets into a folder, a row for each scene, and logs them to MLflow.
+    """Writes sheets into a folder, a row for each scene, and logs them to MLflow as artifacts in `panels/`.
 
-    As artifacts, which are easiest to look at, and as image charts, where runs can be compared step by step:
+    (Its image charts list all of a run's parameters above the image.)
 
-    `images/panels`: reference, prediction, signed error and, for networks that are given it, the albedo.
-    `images/bounces`: the image decoded after each application of the transport operator, for networks that have one.
+    `panels-…`: reference, prediction, signed error and, for networks that are given it, the albedo.
+    `bounces-…`: the image decoded after each application of the transport operator, for networks that have one.
 
     Args:
         folder: where the sheets are kept, as `panels-000150.png` after step 150.
@@ -62,7 +62,6 @@ class ImagePanels(L.Callback):
             path = save_png(panel(columns), self.folder / f"{sheet}-{trainer.global_step:06d}.png")
             for logger in trainer.loggers:
                 if isinstance(logger, RunFolderLogger):
-                    logger.log_picture(f"images/{sheet}", path, trainer.global_step)
                     logger.log_file(path, "panels")
 
 

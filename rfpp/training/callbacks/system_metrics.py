@@ -38,6 +38,8 @@ class SystemMetrics(L.Callback):
 
     def _sample(self, trainer: L.Trainer) -> None:
         monitors = _monitors()
+        monitors[0].collect_metrics()  # the processor's use is counted from here
+        self._stopped.wait(1.0)
         while True:
             values = {}
             for monitor in monitors:

@@ -53,7 +53,7 @@ class Journal:
 
     def metrics(self, values: Mapping[str, float], step: int) -> None:
         """Record what has not been recorded of this step or a later one."""
-        new = {name: float(value) for name, value in values.items() if self.is_new(name, step)}
+        new = {name: float(value) for name, value in values.items() if step > self._last_steps.get(name, -1)}
         if new:
             self.append("metrics", step=step, values=new)
 
@@ -61,10 +61,6 @@ class Journal:
         """Record the parameters that have no value yet: MLflow's cannot be changed."""
         if new := {name: value for name, value in values.items() if name not in self._parameters}:
             self.append("parameters", values=new)
-
-    def is_new(self, name: str, step: int) -> bool:
-        """Whether nothing is recorded under this name, of this step or a later one."""
-        return step > self._last_steps.get(name, -1)
 
     def append(self, kind: str, **content: Any) -> None:
         """Raises UserError when the disk is full and the like."""
@@ -87,8 +83,6 @@ class Journal:
         match record["kind"]:
             case "metrics":
                 self._last_steps |= dict.fromkeys(record["values"], record["step"])
-            case "picture":
-                self._last_steps[record["name"]] = record["step"]
             case "parameters":
                 self._parameters |= record["values"].keys()
             case "status":

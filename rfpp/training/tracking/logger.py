@@ -116,12 +116,6 @@ class RunFolderLogger(Logger):
         self._journal.append("artifact", path=self._inside(path), folder=folder)
 
     @rank_zero_only
-    def log_picture(self, name: str, path: Path, step: int) -> None:
-        """Log a PNG file of the run folder to the image chart `name`."""
-        if self._journal.is_new(name, step):
-            self._journal.append("picture", name=name, path=self._inside(path), step=step)
-
-    @rank_zero_only
     def register_model(self, name: str, checkpoint: Path) -> None:
         """Register a checkpoint of the run folder as the next version of a model."""
         self._journal.append("model", name=name, path=self._inside(checkpoint))

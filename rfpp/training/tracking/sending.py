@@ -17,7 +17,6 @@ from mlflow.utils.validation import MAX_METRICS_PER_BATCH, MAX_PARAMS_TAGS_PER_B
 from rfpp.errors import UserError
 from rfpp.training.tracking.datasets import log_dataset
 from rfpp.training.tracking.journal import Record, records
-from rfpp.training.tracking.pictures import log_picture
 from rfpp.training.tracking.registry import register
 from rfpp.training.tracking.store import Target, connected
 
@@ -114,8 +113,6 @@ class Sender(threading.Thread):
                 log_dataset(client, run, first)
             case "artifact":
                 client.log_artifact(run, str(self.run_dir / first["path"]), first["folder"])
-            case "picture":
-                log_picture(client, run, self.run_dir / first["path"], first)
             case "model":
                 version = register(client, run, self.run_dir / first["path"], first["name"])
                 self.registered = f"models:/{version.name}/{version.version}"
