@@ -10,6 +10,8 @@ import numpy as np
 import torch
 import torch.distributed as dist
 
+from rfpp.batch import RaggedBatch
+
 #: Where a checkpoint keeps the random state of each rank.
 RANDOM_KEY = "random_states"
 
@@ -20,6 +22,9 @@ class ExactResume(L.Callback):
     A run may go on with another number of ranks: the data's order does not depend on it, and ranks that were not there
     before are seeded anew.
     """
+
+    def __init__(self) -> None:
+        self._states: list[dict[str, Any]] | None = None
 
     def on_save_checkpoint(self, trainer: L.Trainer, module: L.LightningModule, checkpoint: dict[str, Any]) -> None:
         states: list[Any] = [None] * trainer.world_size
@@ -37,11 +42,11 @@ class ExactResume(L.Callback):
             begun = counts["ready"] - counts["completed"]  # 1 where it was saved before the batch was done with
             counts.update(ready=batches, started=batches, processed=batches, completed=batches - begun)
 
-    def on_train_start(self, trainer: L.Trainer, module: L.LightningModule) -> None:
-        # not earlier: making loaders draws random numbers
-        states = self.__dict__.pop("_states", None)
-        if states is None:
+    def on_train_batch_start(self, trainer: L.Trainer, module: L.LightningModule, batch: RaggedBatch, _: int) -> None:
+        # not earlier: a loader draws random numbers when its first batch is asked for
+        if self._states is None:
             return
+        states, self._states = self._states, None
         rank = trainer.global_rank
         restore_random_state(states[min(rank, len(states) - 1)])
         if rank >= len(states):
