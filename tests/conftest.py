@@ -19,8 +19,8 @@ def in_blender():
 
 @pytest.fixture(scope="session")
 def slurm(tmp_path_factory):
-    """A running Slurm with one node."""
-    cluster = SlurmCluster(tmp_path_factory.mktemp("slurm"))
+    """A running Slurm that plays two nodes."""
+    cluster = SlurmCluster(tmp_path_factory.mktemp("slurm"), nodes=2)
     try:
         cluster.start()
         yield cluster

@@ -91,6 +91,10 @@ class SlurmCluster:
         assert run.returncode == 0, run.stderr
         return run.stdout.strip()
 
+    def signal(self, job: str, name: str) -> None:
+        """Send a signal to every task of a job, as Slurm does before a time limit."""
+        subprocess.run(["scancel", f"--signal={name}", job], timeout=30, check=True)
+
     def wait(self, job: str, timeout: float = 240) -> list[str]:
         """Wait until all tasks of a job have ended; returns their states."""
         deadline = time.monotonic() + timeout

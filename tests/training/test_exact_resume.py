@@ -19,7 +19,7 @@ from rfpp.training.checkpoints import step_file, step_files
 STEPS = 10
 RUN = (f"steps={STEPS}", "trainer.val_check_interval=4")
 #: Where summing in another order may not be magnified, as Adam does with gradients near zero.
-PLAIN_DESCENT = ("optimizer._target_=torch.optim.SGD", "trainer.precision=32-true")
+PLAIN_DESCENT = ("optimizer._target_=torch.optim.SGD", "optimizer.lr=0.3", "trainer.precision=32-true")
 PRECISIONS = {"fp32": ("trainer.precision=32-true", "callbacks=ema"), "bf16": ("trainer.precision=bf16-mixed",)}
 
 
