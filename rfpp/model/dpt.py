@@ -38,7 +38,7 @@ class DPTHead(nn.Module):
                 nn.ConvTranspose2d(fine, fine, 4, stride=4),
                 nn.ConvTranspose2d(half, half, 2, stride=2),
                 nn.Identity(),
-                nn.Conv2d(coarse, coarse, 3, stride=2, padding=1),
+                HalvingConv(coarse, coarse, 3, stride=2, padding=1),
             ]
         )
         self.to_common = nn.ModuleList(nn.Conv2d(c, channels, 3, padding=1, bias=False) for c in level_channels)
@@ -62,6 +62,19 @@ class DPTHead(nn.Module):
         x = self.fuse[0](x, levels[0], (height, width))
         x = self.out(_resize(self.smooth(x), (height, width)))
         return x.float()
+
+
+class HalvingConv(nn.Conv2d):
+    """A convolution of stride 2 that may be given a single pixel.
+
+    A zero beside it says the same as padding does, but oneDNN then takes another kernel: the one for a single pixel
+    leaves uninitialised memory in the bfloat16 gradient of the weights that no pixel meets (PyTorch 2.13, CPU).
+    """
+
+    def forward(self, x: Float[Tensor, "n c h w"]) -> Float[Tensor, "n d h2 w2"]:
+        if x.shape[-2:] == (1, 1):
+            x = F.pad(x, (0, 1, 0, 1))
+        return super().forward(x)
 
 
 class FusionBlock(nn.Module):
