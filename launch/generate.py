@@ -21,7 +21,7 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
 
-from rfpp.entry import entry_point, required
+from rfpp.entry import entry_point
 from rfpp.errors import ShardError, UserError
 from rfpp.panels import save_png
 from rfpp.progress import counting
@@ -141,16 +141,22 @@ def _verify(cfg: DictConfig, console: Console) -> None:
     console.print(f"{cfg.data.root}: every byte and every sample is as its manifest says.")
 
 
+def _sample(cfg: DictConfig) -> str:
+    if cfg.sample is None:
+        raise UserError(f"action={cfg.action} needs to know which: add sample=<key>, for example sample=train-000000")
+    return cfg.sample
+
+
 def _reproduce(cfg: DictConfig, console: Console) -> SceneSample:
     """In this very process, so that a failure shows its whole traceback."""
     recipe = _recipe(cfg)
-    task = recipe.task(required(cfg, "sample"))
+    task = recipe.task(_sample(cfg))
     key, members = unpack(recipe.job(task).blocks)
     return _shown(decode(key, members), cfg, console)
 
 
 def _show(cfg: DictConfig, console: Console) -> SceneSample:
-    return _shown(find_sample(Path(cfg.data.root), required(cfg, "sample")), cfg, console)
+    return _shown(find_sample(Path(cfg.data.root), _sample(cfg)), cfg, console)
 
 
 def _shown(sample: SceneSample, cfg: DictConfig, console: Console) -> SceneSample:
@@ -159,7 +165,7 @@ def _shown(sample: SceneSample, cfg: DictConfig, console: Console) -> SceneSampl
 
 
 def _export(cfg: DictConfig, console: Console) -> list[Path]:
-    files = export(find_sample(Path(cfg.data.root), required(cfg, "sample")), cfg.format, Path(cfg.output))
+    files = export(find_sample(Path(cfg.data.root), _sample(cfg)), cfg.format, Path(cfg.output))
     console.print("Written: " + ", ".join(map(str, files)))
     return files
 

@@ -19,5 +19,5 @@ class SkippedScenes(L.Callback):
     ) -> None:
         data = trainer.datamodule
         if data.skip_corrupt:
-            self._skipped += data.scenes_per_step // trainer.world_size - len(batch.keys)
+            self._skipped += data.scenes_per_batch - len(batch.keys)
             module.log("data/skipped", float(self._skipped), sync_dist=True, reduce_fx="sum", batch_size=1)
