@@ -21,7 +21,7 @@ from rfpp.scene.camera import pixel_rays
 pytestmark = requires_blender
 
 CONF = Path(__file__).parents[2] / "conf" / "reference"
-QUICK = {k: v for k, v in yaml.safe_load((CONF / "quickstart.yaml").read_text()).items() if k != "_target_"}
+QUICK = {k: v for k, v in yaml.safe_load((CONF / "preview.yaml").read_text()).items() if k != "_target_"}
 RAW = {"denoise": False, "adaptive_threshold": 0.0, "clamp_indirect": 0.0, "threads": 1}
 
 

@@ -23,7 +23,7 @@ def stated(name: str) -> dict:
     return values
 
 
-@pytest.mark.parametrize("name", ["quickstart", "training", "paper"])
+@pytest.mark.parametrize("name", ["preview", "training", "paper"])
 def test_every_setting_is_stated_in_yaml(name):
     assert stated(name).keys() == {field.name for field in dataclasses.fields(cycles.CyclesSettings)}
     cycles.CyclesSettings(**stated(name))
@@ -39,7 +39,7 @@ def test_the_papers_reference_is_adaptive_and_denoised():
 )
 def test_a_setting_that_blender_would_silently_change_is_refused(key, value):
     with pytest.raises(UserError, match=rf"reference\.{key} is {value}"):
-        cycles.CyclesSettings(**stated("quickstart") | {key: value})
+        cycles.CyclesSettings(**stated("preview") | {key: value})
 
 
 def test_without_blender_the_error_says_how_to_install_it(monkeypatch):
@@ -71,5 +71,5 @@ def test_rendering_without_blender_gives_the_same_advice(monkeypatch):
     monkeypatch.setattr(builtins, "__import__", without_bpy)
     with pytest.raises(MissingDependencyError, match=r"rfpp\[blender\]"):
         cycles.render(
-            still_life(), np.eye(4)[None], np.array([40.0]), 8, 8, cycles.CyclesSettings(**stated("quickstart"))
+            still_life(), np.eye(4)[None], np.array([40.0]), 8, 8, cycles.CyclesSettings(**stated("preview"))
         )
