@@ -70,6 +70,4 @@ def test_rendering_without_blender_gives_the_same_advice(monkeypatch):
 
     monkeypatch.setattr(builtins, "__import__", without_bpy)
     with pytest.raises(MissingDependencyError, match=r"rfpp\[blender\]"):
-        cycles.render(
-            still_life(), np.eye(4)[None], np.array([40.0]), 8, 8, cycles.CyclesSettings(**stated("preview"))
-        )
+        cycles.render(still_life(), np.eye(4)[None], np.array([40.0]), 8, 8, cycles.CyclesSettings(**stated("preview")))
