@@ -17,7 +17,7 @@ def renderer():
 
 @pytest.fixture(scope="module")
 def scene():
-    return BoxFamily(views=3).sample(np.random.default_rng(0), np.random.default_rng(1))
+    return BoxFamily(views=3).sample(np.random.default_rng(0), np.random.default_rng(1), held_out=False)
 
 
 def test_every_camera_gets_a_finite_non_negative_image(renderer, scene):
