@@ -86,7 +86,7 @@ def test_render_writes_exr_png_reference_and_comparison(trained, composed, tmp_p
 
     cfg = composed(
         "render", f"scene={CORNELL_BOX}", f"checkpoint={trained[0]}", f"output={tmp_path}/box.exr", "cameras=[1]",
-        "resolution=[32,48]", "reference=true", "reference_settings=quickstart", "device=cpu",
+        "resolution=[32,48]", "reference=true", "reference_settings=preview", "device=cpu",
     )  # fmt: skip
     assert main.__wrapped__(cfg) == [tmp_path / "box.exr"]
     names = {path.name for path in tmp_path.iterdir()}
