@@ -112,8 +112,10 @@ def _alone(recipe: Recipe, part: Slice) -> Iterator[None]:
     path = recipe.root / f".slice-{part.index}-of-{part.count}.lock"
     try:
         with FileLock(path, blocking=False):
-            yield
-            path.unlink(missing_ok=True)
+            try:
+                yield
+            finally:
+                path.unlink(missing_ok=True)
     except Timeout:
         raise UserError(
             f"{recipe.root}: another process is making slice {part.index} of {part.count} there: wait for it, or end it"

@@ -170,7 +170,7 @@ def test_agrees_with_cycles_direct_passes(in_blender, name):
         described = Scene.load(ROOT / "data" / "scenes" / f"{name}.json")
         scene, camera = SceneTriangles.from_scene(described), described.cameras[0]
         pose, fov = camera_to_world(camera), float(camera.fov)
-    quick = yaml.safe_load((ROOT / "conf" / "reference" / "quickstart.yaml").read_text())
+    quick = yaml.safe_load((ROOT / "conf" / "reference" / "preview.yaml").read_text())
     exact = {"samples": 256, "denoise": False, "adaptive_threshold": 0.0, "light_threshold": 0.0, "max_bounces": 0}
     settings = {k: v for k, v in quick.items() if k != "_target_"} | exact | {"filter_width": 0.01, "threads": 1}
     names = ["diffuse_direct", "diffuse_color", "glossy_direct", "glossy_color"]
