@@ -1,5 +1,6 @@
 """A data set that takes no time: a box on a floor, and a renderer that invents plausible numbers."""
 
+import json
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -112,3 +113,20 @@ def make(root: Path, *args, progress=lambda done, total: None, workers=1, **kwar
     """The finished data set of `recipe(root, ...)`."""
     with RenderFarm(workers) as farm:
         return generate(recipe(root, *args, **kwargs), farm, progress)
+
+
+class InterruptAfter:
+    """A progress callback that is Ctrl-C after `count` new scenes."""
+
+    def __init__(self, count: int) -> None:
+        self.count = count
+
+    def __call__(self, done: int, total: int) -> None:
+        if done >= self.count:
+            raise KeyboardInterrupt
+
+
+def hashes(root: Path) -> dict[str, str]:
+    """File → sha256 of every shard in the manifest."""
+    content = json.loads((root / "manifest.json").read_text())
+    return {shard["file"]: shard["sha256"] for shards in content["splits"].values() for shard in shards}

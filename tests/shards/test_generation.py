@@ -3,50 +3,36 @@
 import errno
 import json
 import os
-import shutil
 import signal
 import subprocess
 import sys
 import time
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from filelock import FileLock
-from marks import requires_blender
-from small_data import ACCEPTANCE, REFERENCE, SETTINGS, BoxFamily, Constant, Interrupting, make, recipe
+from small_data import (
+    ACCEPTANCE,
+    SETTINGS,
+    BoxFamily,
+    Constant,
+    InterruptAfter,
+    Interrupting,
+    hashes,
+    make,
+    recipe,
+)
 
 from rfpp.errors import MissingDependencyError, ShardError, UserError
-from rfpp.reference import cycles
-from rfpp.reference.farm import RenderFarm
-from rfpp.shards import generation, writer
+from rfpp.shards import writer
 from rfpp.shards.manifest import Manifest
-from rfpp.shards.recipe import Slice
 from rfpp.shards.status import status
 from rfpp.shards.stream import ShardSplit
-from rfpp.shards.verification import verify
-
-
-class InterruptAfter:
-    """A progress callback that is Ctrl-C after `count` new scenes."""
-
-    def __init__(self, count: int) -> None:
-        self.count = count
-
-    def __call__(self, done: int, total: int) -> None:
-        if done >= self.count:
-            raise KeyboardInterrupt
 
 
 def scenes(manifest: Manifest, split: str) -> list:
     data = ShardSplit(manifest.root, split)
     return [data[i] for i in range(len(data))]
-
-
-def hashes(root: Path) -> dict[str, str]:
-    content = json.loads((root / "manifest.json").read_text())
-    return {shard["file"]: shard["sha256"] for shards in content["splits"].values() for shard in shards}
 
 
 def test_counts_files_and_keys(finished):
@@ -278,121 +264,3 @@ def test_bad_acceptance_is_named(change, message):
 def test_the_number_of_views_must_be_the_familys(tmp_path):
     with pytest.raises(UserError, match=r"draws 3 cameras, data\.views is 2"):
         make(tmp_path, BoxFamily(views=3))
-
-
-@dataclass(frozen=True)
-class Sabotaged:
-    """Cycles, but the worker of the first scene is killed in the middle of it, and that of the second stops dead."""
-
-    folder: Path
-
-    def __call__(self, triangles, *args) -> np.ndarray:
-        images = cycles.render(triangles, *args)
-        seen = self.folder / f"{triangles.material[2, 0]}.seen"
-        number = len(list(self.folder.glob("*.seen")))
-        if number < 2 and not seen.exists():
-            seen.touch()
-            os.kill(os.getpid(), (signal.SIGKILL, signal.SIGSTOP)[number])
-        return images
-
-
-@requires_blender
-def test_killed_and_hanging_workers_lose_nothing(tmp_path):
-    def rendered(name: str, render) -> Manifest:
-        with RenderFarm(1, max_job_seconds=20) as farm:
-            reference = replace(REFERENCE, samples=4)
-            made = recipe(tmp_path / name, render=render, reference=reference, resolution=32, splits={"train": 3})
-            return generation.generate(made, farm, lambda done, total: None)
-
-    sabotaged = rendered("sabotaged", Sabotaged(tmp_path))
-    assert len(list(tmp_path.glob("*.seen"))) == 2
-    assert sabotaged.hash == rendered("undisturbed", cycles.render).hash
-
-
-def make_slice(root: Path, index: int, count: int) -> None:
-    with RenderFarm(1) as farm:
-        generation.make(recipe(root), farm, lambda done, total: None, Slice(index, count))
-
-
-def test_slices_made_apart_and_merged_equal_one_run(tmp_path, finished):
-    for index in (2, 0, 1):
-        make_slice(tmp_path / f"machine{index}", index, 3)
-    here = tmp_path / "machine0"
-    with pytest.raises(ShardError, match=r"4 of 6 shards are not finished, first train-00001\.tar.*copy them here"):
-        generation.merge(recipe(here))
-    assert status(recipe(here)).slices(3) == (1, 2)
-    for index in (1, 2):
-        for path in (tmp_path / f"machine{index}").glob("*-*.*"):
-            shutil.copy(path, here)
-    assert status(recipe(here)).is_complete
-    assert generation.merge(recipe(here)).hash == finished.hash
-    assert hashes(here) == hashes(finished.root)
-
-
-def test_two_processes_do_not_make_the_same_slice(tmp_path):
-    with FileLock(tmp_path / ".slice-1-of-3.lock"):
-        with pytest.raises(UserError, match="another process is making slice 1 of 3"):
-            make_slice(tmp_path, 1, 3)
-        make_slice(tmp_path, 2, 3)
-    make_slice(tmp_path, 1, 3)
-    assert not list(tmp_path.glob("*.lock"))
-
-
-@pytest.mark.parametrize(("index", "count"), [(3, 3), (-1, 2), (0, 0)])
-def test_a_slice_that_does_not_exist_is_refused(index, count):
-    with pytest.raises(UserError, match=rf"slice\.index={index} of slice\.count={count}"):
-        Slice(index, count)
-
-
-def test_status_counts_what_waits_and_what_is_missing(tmp_path):
-    with pytest.raises(KeyboardInterrupt):
-        make(tmp_path, progress=InterruptAfter(3))
-    found = status(recipe(tmp_path))
-    train = found.splits["train"]
-    assert (train.finished_shards, train.shards, train.finished_scenes, train.scenes) == (1, 3, 2, 5)
-    assert train.waiting_scenes >= 1
-    assert found.splits["test"].missing == (5,)
-    assert not found.is_complete and not found.is_merged
-
-
-def test_verify_finds_nothing_wrong_with_a_good_data_set(finished):
-    shards = []
-    with RenderFarm(1) as farm:
-        assert verify(finished.root, farm, lambda done, total: shards.append(done)) == []
-    assert shards[-1] == 6
-
-
-def test_verify_lists_all_that_is_broken(copied):
-    entry = Manifest.load(copied).samples("train")[1]
-    damaged = bytearray((copied / "train-00000.tar").read_bytes())
-    damaged[entry.offset + entry.size // 2] ^= 1
-    (copied / "train-00000.tar").write_bytes(damaged)
-    (copied / "train-00001.tar").write_bytes((copied / "train-00001.tar").read_bytes()[:-1])
-    (copied / "train_newviews-00000.json").write_text("{}")
-    (copied / "test-00000.tar").unlink()
-    with RenderFarm(1) as farm:
-        problems = verify(copied, farm, lambda done, total: None)
-    assert len(problems) == 4
-    expected = (
-        "test-00000.tar: the shard is missing",
-        "train-00000.tar: sample train-000001",
-        "train-00001.tar: truncated",
-        "train_newviews-00000.json",
-    )
-    for problem, words in zip(problems, expected, strict=True):
-        assert words in problem
-        assert "launch/generate.py" in problem
-
-
-@requires_blender
-def test_two_tiny_scenes_with_blender(tmp_path):
-    def rendered(name: str) -> Manifest:
-        reference = replace(REFERENCE, samples=4)
-        return make(tmp_path / name, render=cycles.render, reference=reference, resolution=32, splits={"train": 2})
-
-    manifest = rendered("once")
-    for sample in scenes(manifest, "train"):
-        assert sample.images.shape == (2, 32, 32, 3)
-        seen = np.stack([gbuffer.hit for gbuffer in sample.gbuffers])
-        assert np.median(sample.images[seen]) > 0.01, "the light must reach the floor"
-    assert rendered("again").hash == manifest.hash

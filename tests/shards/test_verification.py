@@ -1,0 +1,34 @@
+"""Verifying a data set: all that is broken is listed."""
+
+from rfpp.reference.farm import RenderFarm
+from rfpp.shards.manifest import Manifest
+from rfpp.shards.verification import verify
+
+
+def test_verify_finds_nothing_wrong_with_a_good_data_set(finished):
+    shards = []
+    with RenderFarm(1) as farm:
+        assert verify(finished.root, farm, lambda done, total: shards.append(done)) == []
+    assert shards[-1] == 6
+
+
+def test_verify_lists_all_that_is_broken(copied):
+    entry = Manifest.load(copied).samples("train")[1]
+    damaged = bytearray((copied / "train-00000.tar").read_bytes())
+    damaged[entry.offset + entry.size // 2] ^= 1
+    (copied / "train-00000.tar").write_bytes(damaged)
+    (copied / "train-00001.tar").write_bytes((copied / "train-00001.tar").read_bytes()[:-1])
+    (copied / "train_newviews-00000.json").write_text("{}")
+    (copied / "test-00000.tar").unlink()
+    with RenderFarm(1) as farm:
+        problems = verify(copied, farm, lambda done, total: None)
+    assert len(problems) == 4
+    expected = (
+        "test-00000.tar: the shard is missing",
+        "train-00000.tar: sample train-000001",
+        "train-00001.tar: truncated",
+        "train_newviews-00000.json",
+    )
+    for problem, words in zip(problems, expected, strict=True):
+        assert words in problem
+        assert "launch/generate.py" in problem
