@@ -14,6 +14,7 @@ from jaxtyping import Float
 
 from rfpp.errors import SceneError, UserError
 from rfpp.exr import write_exr
+from rfpp.gbuffer.direct_light import direct_radiance
 from rfpp.gbuffer.first_hit import channel, object_ids
 from rfpp.panels import save_png, tone_mapped
 from rfpp.scene.formats import save_scene
@@ -23,7 +24,6 @@ from rfpp.scene.packed import PackedScene
 from rfpp.scene.shading import corner_normals
 from rfpp.scene.spec import Camera, Material, Scene, SceneObject, Transform
 from rfpp.scene.triangles import DIFFUSE, EMISSION, ROUGHNESS, SPECULAR, SceneTriangles
-from rfpp.shards.pictures import first_bounce
 from rfpp.shards.sample import SceneSample
 
 _IN_PLACE = Transform(normalize=False)
@@ -163,7 +163,7 @@ def _layers(sample: SceneSample, view: int) -> dict[str, np.ndarray]:
     }
     return {
         **{name: layer.astype(np.float16) for name, layer in colours.items()},
-        "direct": first_bounce(gbuffer, material).astype(np.float32),
+        "direct": direct_radiance(gbuffer, material).astype(np.float32),
         "depth": gbuffer.depth,
         "triangle": (gbuffer.triangle + 1).astype(np.uint32),
         "object": (object_ids(gbuffer, sample.triangles) + 1).astype(np.uint32),

@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 from typing import SupportsFloat
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import UInt8
 
 from rfpp import panels
-from rfpp.gbuffer.direct_light import with_direct_light
-from rfpp.gbuffer.first_hit import GBuffer, camera_caster, channel, first_hit, object_ids
-from rfpp.gbuffer.light_sampler import LightSampler
+from rfpp.gbuffer.direct_light import direct_radiance
+from rfpp.gbuffer.first_hit import DirectLight, GBuffer, camera_caster, channel, first_hit, object_ids
 from rfpp.gbuffer.raycast import RayCaster
 from rfpp.scene.packed import PackedScene, pack
 from rfpp.scene.spec import Scene
 from rfpp.scene.triangles import SceneTriangles
 from rfpp.shards.sample import SceneSample
+from rfpp.shards.stage import Stage
 
 #: Light from everywhere that stands in for all bounces after the first on contact sheets.
 _AMBIENT = 0.08
@@ -32,7 +33,7 @@ def sample_panel(sample: SceneSample) -> UInt8[np.ndarray, "h w 3"]:
     caster = camera_caster(triangles)
     columns = {
         "image": [panels.tone_mapped(image) for image in sample.images],
-        "direct light": [panels.tone_mapped(first_bounce(g, material)) for g, _, _ in views],
+        "direct light": [panels.tone_mapped(direct_radiance(g, material)) for g, _, _ in views],
         "albedo": [panels.tone_mapped(channel(g, material, f, "albedo")) for g, _, f in views],
         "specular": [panels.tone_mapped(channel(g, material, f, "specular")) for g, _, f in views],
         "normal": [_normal_colours(g) for g, _, _ in views],
@@ -65,19 +66,15 @@ def contact_sheet(scenes: Iterable[Scene | PackedScene], resolution: int) -> UIn
     return panels.contact_sheet([_preview(scene, resolution) for scene in packed], captions)
 
 
-def first_bounce(
-    gbuffer: GBuffer, material: Float[np.ndarray, "m 10"], ambient: float = 0.0
-) -> Float[np.ndarray, "h w 3"]:
-    """Radiance of the direct light in a G-buffer, and of `ambient` more light from everywhere."""
-    light = {"albedo": gbuffer.light.diffuse, "specular": gbuffer.light.glossy}
-    return sum(channel(gbuffer, material, 0, name) * (arriving + ambient) for name, arriving in light.items())
+def with_ambient(gbuffer: GBuffer, ambient: float) -> GBuffer:
+    """The G-buffer with so much more light from everywhere."""
+    return replace(gbuffer, light=DirectLight(gbuffer.light.diffuse + ambient, gbuffer.light.glossy + ambient))
 
 
 def _preview(scene: PackedScene, resolution: int) -> UInt8[np.ndarray, "h w 3"]:
-    pose, fov, triangles = scene.c2w[0], scene.fov[0], scene.triangles
-    gbuffer = first_hit(triangles, pose, fov, resolution, resolution)
-    lit = with_direct_light(gbuffer, pose, fov, LightSampler(triangles), _LIGHT_SAMPLES)
-    return panels.tone_mapped(first_bounce(lit, triangles.material, _AMBIENT))
+    pose, fov, stage = scene.c2w[0], scene.fov[0], Stage(scene.triangles)
+    lit = stage.lit(stage.first_hit(pose, fov, resolution), pose, fov, _LIGHT_SAMPLES, seed=0)
+    return panels.tone_mapped(direct_radiance(with_ambient(lit, _AMBIENT), scene.triangles.material))
 
 
 def _wireframe(

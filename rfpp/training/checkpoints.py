@@ -97,6 +97,7 @@ def find_defect(path: Path) -> str | None:
             damaged = archive.testzip()
     except FileNotFoundError:
         return "no such checkpoint"
+    # the last of these is zipfile's word for a header that names a compression it does not know
     except (zipfile.BadZipFile, zlib.error, OSError, EOFError, NotImplementedError) as error:
         return f"truncated or not a checkpoint ({error})"
     return f"damaged ({damaged} has another checksum than when it was written)" if damaged else None

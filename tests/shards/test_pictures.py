@@ -7,10 +7,11 @@ from small_data import BoxFamily
 from stored_sample import stored_sample
 
 from rfpp import panels
+from rfpp.gbuffer.direct_light import direct_radiance
 from rfpp.panels import tone_mapped
 from rfpp.scene.packed import PackedScene
 from rfpp.shards import pictures
-from rfpp.shards.pictures import contact_sheet, first_bounce, sample_panel
+from rfpp.shards.pictures import contact_sheet, sample_panel, with_ambient
 
 
 @pytest.fixture
@@ -75,13 +76,13 @@ def test_edges_are_dark_where_triangles_meet_and_nowhere_else(shown):
     assert picture[~near].min() == picture[~near].max() > 240
 
 
-def test_first_bounce_weighs_each_lobe_with_its_albedo():
+def test_direct_radiance_weighs_each_lobe_with_its_albedo():
     sample = stored_sample()
     gbuffer, row = sample.gbuffers[0], sample.triangles.material[sample.gbuffers[0].triangle]
     expected = row[..., 0:3] * gbuffer.light.diffuse + row[..., 3:6] * gbuffer.light.glossy
     seen = gbuffer.hit
-    np.testing.assert_allclose(first_bounce(gbuffer, sample.triangles.material)[seen], expected[seen], rtol=1e-6)
-    brighter = first_bounce(gbuffer, sample.triangles.material, ambient=0.1)
+    np.testing.assert_allclose(direct_radiance(gbuffer, sample.triangles.material)[seen], expected[seen], rtol=1e-6)
+    brighter = direct_radiance(with_ambient(gbuffer, 0.1), sample.triangles.material)
     np.testing.assert_allclose(
         (brighter[seen] - expected[seen]), 0.1 * (row[..., 0:3] + row[..., 3:6])[seen], atol=1e-6
     )
