@@ -7,6 +7,7 @@ The same command with the same run_dir goes on where the run was, after a kill t
 
 from __future__ import annotations
 
+import logging
 import warnings
 from pathlib import Path
 
@@ -42,9 +43,10 @@ def main(cfg: DictConfig) -> Path | None:
     console = Console(highlight=False)
     untroubled = (
         "does not have many workers", "isn't picklable", "LeafSpec", "dataloader is not resumable",
-        "exists and is not empty", "`srun` command is available",
+        "exists and is not empty", "`srun` command is available", "Grad strides do not match",
     )  # fmt: skip
     warnings.filterwarnings("ignore", message=f".*({'|'.join(untroubled)}).*")
+    logging.getLogger("lightning.pytorch").setLevel(logging.WARNING)  # devices are in our own summary
     L.seed_everything(cfg.seed, verbose=False)
     torch.set_float32_matmul_precision("high")
 
@@ -84,7 +86,7 @@ def main(cfg: DictConfig) -> Path | None:
     divide_global_batch(trainer, datamodule)
 
     if trainer.is_global_zero:
-        console.print(start_summary(cfg, network, datamodule))
+        console.print(start_summary(cfg, network, datamodule, trainer), soft_wrap=True)
         if resumed:
             console.print(f"Goes on from {resumed}")
     if tracked and trainer.is_global_zero:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import lightning as L
+import torch
 from lightning.pytorch.plugins.environments import SLURMEnvironment
 from omegaconf import DictConfig, OmegaConf
 from torch import nn
@@ -19,6 +20,7 @@ from rfpp.model.block import CrossBlock, SelfBlock
 from rfpp.scene.files import write_atomically
 from rfpp.training.checkpoints import AtomicCheckpointIO
 from rfpp.training.datamodule import SceneDataModule
+from rfpp.training.tracking.store import store_uri
 
 #: Environment variable with the name of the run's folder, where it is not the time of starting (conf/common.yaml).
 RUN_VARIABLE = "RFPP_RUN"
@@ -74,16 +76,29 @@ def parameter_counts(network: nn.Module) -> dict[str, int]:
     return {**counts, "total": sum(counts.values())}
 
 
-def start_summary(cfg: DictConfig, network: nn.Module, datamodule: SceneDataModule) -> str:
-    """A few lines: network by stage, data, batch arithmetic, precision, where things are written."""
+def start_summary(cfg: DictConfig, network: nn.Module, datamodule: SceneDataModule, trainer: L.Trainer) -> str:
+    """A few lines: network by stage, data, batch arithmetic, devices and precision, where things are written."""
     counts = parameter_counts(network)
     stages = ", ".join(f"{name} {count / 1e6:.2f}M" for name, count in counts.items() if name != "total")
     data = datamodule.manifest
-    batch = f"{datamodule.scenes_per_step} scenes x {datamodule.views_per_scene} views"
+    images = datamodule.scenes_per_step * datamodule.views_per_scene
+    share = datamodule.scenes_per_step // trainer.world_size
+    at_once = share // trainer.accumulate_grad_batches
+    store = cfg.logger.tracking_uri or store_uri(cfg.logger.folder)
     return (
         f"Network  {counts['total'] / 1e6:.1f}M parameters: {stages}\n"
         f"Data     {data.root}: {data.counts['scenes']} scenes, {data.counts['images']} images "
         f"of {cfg.data.resolution}² (manifest {data.hash[:12]})\n"
-        f"Steps    {cfg.steps} of {batch}, {cfg.trainer.precision}\n"
-        f"Writes   {cfg.run_dir}"
+        f"Steps    {cfg.steps} of {datamodule.scenes_per_step} scenes x {datamodule.views_per_scene} views "
+        f"= {images} images\n"
+        f"Devices  {trainer.world_size} x {_device_name(trainer)}, {share} scenes each, {at_once} at a time, "
+        f"{cfg.trainer.precision}\n"
+        f"Writes   {cfg.run_dir}, tracked in {store}"
     )
+
+
+def _device_name(trainer: L.Trainer) -> str:
+    device = trainer.strategy.root_device
+    if device.type == "cuda":
+        return torch.cuda.get_device_name(device)
+    return f"CPU (threads: {torch.get_num_threads()})" if device.type == "cpu" else device.type
