@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
 import torch
 from jaxtyping import Float
-from torch import nn
+from torch import Tensor, nn
 
 from rfpp.batch import RaggedBatch, SceneViews
 from rfpp.errors import SceneError, UserError
-from rfpp.gbuffer.direct_light import with_direct_light
-from rfpp.gbuffer.first_hit import LIGHT_CHANNELS, camera_caster, first_hit, stack_channels
-from rfpp.gbuffer.light_sampler import LightSampler
 from rfpp.inference.checkpoint import CheckpointInfo, load_network
+from rfpp.inference.gbuffers import GBufferSource
+from rfpp.inference.object_encoder import ObjectEncoder
+from rfpp.model.renderformer_pp import EncodedScenes
+from rfpp.model.tokenizer import ObjectTokens
 from rfpp.radiance import log_decode
 from rfpp.scene.packed import PackedScene, pack
 from rfpp.scene.spec import Camera, Scene
@@ -27,14 +29,20 @@ class Renderer:
         renderer = Renderer.load("data/runs/quickstart/latest/checkpoints/best.ckpt")
         images = renderer.render(Scene.load("data/scenes/cornell_box.json"))
 
+    It remembers what objects were encoded to and what cameras saw first, so that a scene that was edited costs what
+    the edit changed, and gives exactly the image that a new renderer would. Any number of threads may share it.
+
     Args:
-        network: RaggedBatch → Rendering, in evaluation mode.
+        network: RaggedBatch → Rendering, in evaluation mode; its weights must not change from here on.
         info: what its checkpoint says about it.
         device: where to run.
     """
 
     def __init__(self, network: nn.Module, info: CheckpointInfo, device: torch.device | str = "cpu"):
         self.network, self.info, self.device = network.to(device).eval(), info, torch.device(device)
+        #: What encodes object by object; None for a network whose tokens are triangles.
+        self.objects = ObjectEncoder(network, self.device) if isinstance(network.tokenizer, ObjectTokens) else None
+        self._gbuffers = GBufferSource(network.gbuffer_channels)
 
     @classmethod
     def load(cls, checkpoint: Path | str, device: torch.device | str | None = None) -> Renderer:
@@ -49,7 +57,6 @@ class Renderer:
         network, info = load_network(checkpoint)
         return cls(network, info, device or ("cuda" if torch.cuda.is_available() else "cpu"))
 
-    @torch.inference_mode()
     def render(
         self,
         scene: Scene | PackedScene,
@@ -69,37 +76,55 @@ class Renderer:
             SceneError: there is no camera.
             UserError: the resolution does not divide into the network's patches.
         """
+        return np.stack(list(self.views(scene, resolution, cameras, light_samples)))
+
+    def views(
+        self,
+        scene: Scene | PackedScene,
+        resolution: int | tuple[int, int] | None = None,
+        cameras: Sequence[Camera] | None = None,
+        light_samples: int = 16,
+    ) -> Iterator[Float[np.ndarray, "h w 3"]]:
+        """The images of `render`, each as soon as it is finished."""
         height, width = self.image_size(resolution)
         packed = pack(scene) if cameras is None else pack(scene).seen_by(cameras)
         if not len(packed.fov):
             raise SceneError(f"scene '{packed.name}' has no camera: add one to its `cameras`")
-        gbuffers = self._gbuffers(packed, height, width, light_samples)
-        views = SceneViews(packed.name, packed.triangles, packed.c2w, packed.fov, gbuffers, texture=packed.texture)
-        batch = RaggedBatch.pack([views]).to(self.device)
-        encoded = self.network.encode(batch)
-        # one view at a time: the memory of a large image, not of all of them
-        images = [
-            self.network.view(encoded, batch.c2w[:, v : v + 1], batch.fov[:, v : v + 1], batch.gbuffer[:, v : v + 1])
-            for v in range(batch.num_views)
-        ]
-        return log_decode(torch.cat(images, dim=1))[0].permute(0, 2, 3, 1).clamp_min(0).cpu().numpy()
+        return self._views(packed, height, width, light_samples)
 
-    def _gbuffers(
+    def _views(
         self, scene: PackedScene, height: int, width: int, light_samples: int
-    ) -> Float[np.ndarray, "v c h w"]:
-        """The channels the network asks for; no ray is cast for a network that asks for none."""
-        channels = self.network.gbuffer_channels
-        if not channels:
-            return np.zeros((len(scene.fov), 0, height, width), np.float32)
-        triangles, caster = scene.triangles, camera_caster(scene.triangles)
-        sampler = LightSampler(triangles) if set(channels) & set(LIGHT_CHANNELS) else None
-        stacked = []
-        for c2w, fov in zip(scene.c2w, scene.fov, strict=True):
-            gbuffer = first_hit(triangles, c2w, fov, height, width, caster)
-            if sampler:
-                gbuffer = with_direct_light(gbuffer, c2w, fov, sampler, light_samples)
-            stacked.append(stack_channels(gbuffer, triangles.material, fov, channels))
-        return np.stack(stacked)
+    ) -> Iterator[Float[np.ndarray, "h w 3"]]:
+        """One view at a time, which bounds the memory; a thread casts the next one's rays meanwhile."""
+        no_gbuffer = np.zeros((len(scene.fov), 0, 0, 0), np.float32)
+        views = SceneViews(scene.name, scene.triangles, scene.c2w, scene.fov, no_gbuffer, texture=scene.texture)
+        batch = RaggedBatch.pack([views])
+        gbuffers = self._gbuffers.of(scene, height, width, light_samples)
+        with ThreadPoolExecutor(1, "gbuffer") as beside:
+            upcoming = beside.submit(gbuffers, 0)
+            encoded = self._encode(batch)
+            for view in range(batch.num_views):
+                gbuffer = upcoming.result()
+                if view + 1 < batch.num_views:
+                    upcoming = beside.submit(gbuffers, view + 1)
+                one = slice(view, view + 1)
+                yield self._decode(encoded, batch.c2w[:, one], batch.fov[:, one], gbuffer)
+
+    @torch.inference_mode()
+    def _encode(self, batch: RaggedBatch) -> EncodedScenes:
+        return self.network.encode(batch.to(self.device)) if self.objects is None else self.objects.encode(batch)
+
+    @torch.inference_mode()
+    def _decode(
+        self,
+        encoded: EncodedScenes,
+        c2w: Float[Tensor, "1 1 4 4"],
+        fov: Float[Tensor, "1 1"],
+        gbuffer: Float[np.ndarray, "c h w"],
+    ) -> Float[np.ndarray, "h w 3"]:
+        camera = c2w.to(self.device), fov.to(self.device)
+        log_radiance = self.network.view(encoded, *camera, torch.from_numpy(gbuffer[None, None]).to(self.device))
+        return log_decode(log_radiance)[0, 0].permute(1, 2, 0).clamp_min(0).cpu().numpy()
 
     def image_size(self, resolution: int | tuple[int, int] | None) -> tuple[int, int]:
         """(height, width) of a requested resolution. Raises UserError when it does not divide into patches."""

@@ -74,15 +74,21 @@ class RenderFormerPP(nn.Module):
 
     def encode(self, batch: RaggedBatch) -> EncodedScenes:
         """The view-independent stage: once per scene, whatever the number of views."""
-        exposure, tokens = self.tokenize(batch)
-        transported = self.transport(tokens)
-        return EncodedScenes(transported.tokens, exposure, transported.states)
+        return self.transported(*self.tokenize(batch))
 
     def tokenize(self, batch: RaggedBatch) -> tuple[Float[Tensor, " b"], SceneTokens]:
         """Each scene's exposure and, at that, its tokens before any light has moved."""
         exposure = self.exposure(batch)
-        batch = batch.dimmed(exposure)
-        return exposure, self.tokenizer(self.embedding(batch), batch)
+        return exposure, self.tokens(batch.dimmed(exposure))
+
+    def tokens(self, batch: RaggedBatch) -> SceneTokens:
+        """The tokens of scenes that are at their exposure already, before any light has moved."""
+        return self.tokenizer(self.embedding(batch), batch)
+
+    def transported(self, exposure: Float[Tensor, " b"], tokens: SceneTokens) -> EncodedScenes:
+        """What `tokenize` made, after light has moved."""
+        transported = self.transport(tokens)
+        return EncodedScenes(transported.tokens, exposure, transported.states)
 
     def bounces(self, batch: RaggedBatch, count: int) -> tuple[list[Float[Tensor, "b v 3 h w"]], Bounces]:
         """log10(1 + radiance) decoded from ⁽ᵏ⁾F_s + F_e after k = 0 … `count` applications, and these features.

@@ -1,12 +1,21 @@
 """Rendering scenes through the public API, with an untrained network."""
 
+from concurrent.futures import ThreadPoolExecutor
+from threading import Event
+
 import numpy as np
 import pytest
+import torch
 from networks import checkpoint_info, network
 from small_data import BoxFamily
 
+import rfpp.inference.gbuffers
 from rfpp import Renderer
+from rfpp.batch import RaggedBatch, SceneViews
 from rfpp.errors import SceneError, UserError
+from rfpp.gbuffer.first_hit import first_hit, stack_channels
+from rfpp.radiance import log_decode
+from rfpp.scene.packed import pack
 from rfpp.scene.spec import Camera
 
 
@@ -48,10 +57,72 @@ def test_other_cameras_than_the_scenes_own(renderer, scene):
 
 def test_the_scene_is_encoded_once(renderer, scene, monkeypatch):
     calls = []
-    encode = renderer.network.encode
-    monkeypatch.setattr(renderer.network, "encode", lambda batch: calls.append(1) or encode(batch))
+    transported = renderer.network.transported
+    monkeypatch.setattr(renderer.network, "transported", lambda *args: calls.append(1) or transported(*args))
     renderer.render(scene)
     assert calls == [1]
+
+
+def test_the_image_is_the_networks_own(renderer, scene):
+    """Of everything packed into one batch, with neither objects, views nor G-buffers apart."""
+    packed = pack(scene)
+    gbuffers = np.stack(
+        [
+            stack_channels(
+                first_hit(packed.triangles, c2w, fov, 16, 16), packed.triangles.material, fov,
+                renderer.network.gbuffer_channels,
+            )
+            for c2w, fov in zip(packed.c2w, packed.fov, strict=True)
+        ]
+    )  # fmt: skip
+    batch = RaggedBatch.pack([SceneViews("together", packed.triangles, packed.c2w, packed.fov, gbuffers)])
+    with torch.inference_mode():
+        expected = log_decode(renderer.network(batch).log_radiance)[0].permute(0, 2, 3, 1).clamp_min(0).numpy()
+    np.testing.assert_allclose(renderer.render(scene), expected, rtol=1e-4, atol=1e-5)
+
+
+def test_rays_of_the_next_view_are_cast_while_the_network_works(scene, monkeypatch):
+    renderer = Renderer(network(), checkpoint_info())
+    together = renderer.render(scene)
+    renderer = Renderer(renderer.network, checkpoint_info())
+    begun = [Event() for _ in range(4)]
+    started, running_ahead = iter(begun), []
+    cast, view = rfpp.inference.gbuffers.first_hit, renderer.network.view
+
+    def casting(*args):
+        next(started).set()
+        return cast(*args)
+
+    def decoding(*args):
+        number = len(running_ahead)
+        assert number == 2 or begun[number + 1].wait(timeout=60)
+        image = view(*args)
+        running_ahead.append(begun[min(number + 2, 3)].is_set())
+        return image
+
+    monkeypatch.setattr(rfpp.inference.gbuffers, "first_hit", casting)
+    monkeypatch.setattr(renderer.network, "view", decoding)
+    np.testing.assert_array_equal(renderer.render(scene), together)
+    assert running_ahead == [False] * 3  # no more than one view is kept ready
+
+
+def test_images_come_one_by_one(renderer, scene):
+    images = renderer.views(scene)
+    together = renderer.render(scene)
+    for number, image in enumerate(images):
+        np.testing.assert_array_equal(image, together[number])
+    assert number == 2
+    next(renderer.views(scene))  # and may be left early
+    assert not torch.is_inference_mode_enabled()
+
+
+def test_a_renderer_is_shared_by_threads(scene):
+    renderer = Renderer(network(), checkpoint_info())
+    resolutions = [8, 16, 24, 8]
+    with ThreadPoolExecutor(4) as threads:
+        images = list(threads.map(lambda resolution: renderer.render(scene, resolution), resolutions))
+    for image, resolution in zip(images, resolutions, strict=True):
+        np.testing.assert_array_equal(image, renderer.render(scene, resolution))
 
 
 def test_a_scene_without_cameras_is_refused_by_name(renderer, scene):

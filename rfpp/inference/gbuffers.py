@@ -1,0 +1,89 @@
+"""What a network is given of each view besides the scene tokens; rays are not cast twice for the same answer."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from hashlib import blake2b
+
+import numpy as np
+from jaxtyping import Float
+
+from rfpp.gbuffer.direct_light import with_direct_light
+from rfpp.gbuffer.first_hit import LIGHT_CHANNELS, GBuffer, camera_caster, first_hit, stack_channels
+from rfpp.gbuffer.light_sampler import LightSampler
+from rfpp.gbuffer.raycast import RayCaster
+from rfpp.inference.bounded_cache import BoundedCache
+from rfpp.scene.packed import PackedScene
+from rfpp.scene.triangles import SceneTriangles
+
+#: What Embree keeps of a triangle, about.
+_BYTES_PER_TRIANGLE = 200
+#: Of a GBuffer: triangle, normal and depth.
+_BYTES_PER_PIXEL = 20
+
+
+class GBufferSource:
+    """The G-buffer channels of views, which keeps what cameras saw first and the structures that rays are cast into.
+
+    First hits depend on the triangles' positions and normals, on which of them emit, and on the camera: new colours or
+    another power of a light change none of them. Materials are looked up anew in every G-buffer, direct light is
+    gathered anew.
+
+    Args:
+        channels: names from `rfpp.gbuffer.first_hit.CHANNELS`, in order.
+        max_bytes: of what is kept.
+    """
+
+    def __init__(self, channels: Sequence[str], max_bytes: int = 1 << 30):
+        self.channels = tuple(channels)
+        self._kept: BoundedCache[GBuffer | RayCaster | LightSampler] = BoundedCache(max_bytes)
+
+    def of(
+        self, scene: PackedScene, height: int, width: int, light_samples: int
+    ) -> Callable[[int], Float[np.ndarray, "c h w"]]:
+        """View number → its channels; no ray is cast before a view is asked for, and none for no channels.
+
+        Args:
+            light_samples: see `rfpp.gbuffer.direct_light.with_direct_light`.
+        """
+        if not self.channels:
+            return lambda view: np.zeros((0, height, width), np.float32)
+        triangles = scene.triangles
+        geometry = _digest(triangles.positions, triangles.normals, triangles.is_emissive)
+
+        def channels(view: int) -> Float[np.ndarray, "c h w"]:
+            c2w, fov = scene.c2w[view], scene.fov[view]
+            gbuffer = self._first_hit(triangles, geometry, c2w, fov, height, width)
+            if set(self.channels) & set(LIGHT_CHANNELS):
+                gbuffer = with_direct_light(gbuffer, c2w, fov, self._lights(triangles, geometry), light_samples)
+            return stack_channels(gbuffer, triangles.material, fov, self.channels)
+
+        return channels
+
+    def _first_hit(
+        self,
+        triangles: SceneTriangles,
+        geometry: bytes,
+        c2w: Float[np.ndarray, "4 4"],
+        fov: np.floating,
+        height: int,
+        width: int,
+    ) -> GBuffer:
+        def cast() -> GBuffer:
+            size = _BYTES_PER_TRIANGLE * len(triangles)
+            caster = self._kept.recall(("caster", geometry), size, lambda: camera_caster(triangles))
+            return first_hit(triangles, c2w, fov, height, width, caster)
+
+        view = (geometry, c2w.tobytes(), float(fov), height, width)
+        return self._kept.recall(view, _BYTES_PER_PIXEL * height * width, cast)
+
+    def _lights(self, triangles: SceneTriangles, geometry: bytes) -> LightSampler:
+        key = ("lights", geometry, _digest(triangles.material))  # all materials: it knows what surfaces reflect
+        return self._kept.recall(key, _BYTES_PER_TRIANGLE * len(triangles), lambda: LightSampler(triangles))
+
+
+def _digest(*arrays: np.ndarray) -> bytes:
+    digest = blake2b(digest_size=16)
+    for array in arrays:
+        digest.update(np.ascontiguousarray(array))
+    return digest.digest()

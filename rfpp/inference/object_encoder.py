@@ -1,0 +1,135 @@
+"""Scenes encoded object by object: in bounded memory, and after an edit only what was edited."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from hashlib import blake2b
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from rfpp.batch import RaggedBatch, Segments
+from rfpp.inference.bounded_cache import BoundedCache
+from rfpp.model.renderformer_pp import EncodedScenes, RenderFormerPP
+from rfpp.model.tokenizer import SceneTokens
+
+#: Triangles encoded at a time on a GPU, which one object would leave idle; this many bound the memory.
+_GPU_TRIANGLES = 1 << 15
+
+
+class _ObjectTokens(NamedTuple):
+    """The tokens of one object, as in `SceneTokens`."""
+
+    features: Float[Tensor, "q width"]
+    points: Float[Tensor, "q 9"]
+    log_emission: Float[Tensor, "q 3"]
+
+
+class ObjectEncoder:
+    """The view-independent stage of a network with object tokens, which keeps the tokens of objects it has seen.
+
+    An object's tokens depend on nothing but its own triangles: where they are, their normals, their reflectance, and
+    what they emit in units of the scene's exposure. These numbers are the key, so whatever is edited, added or put in
+    another order, only objects that are new to the encoder are encoded. A changed light changes the exposure and with
+    it what every emitter emits; other objects emit nothing in any unit and stay. A moved object is encoded again: its
+    tokens are those of its old place up to rounding only, because the rotary angles are those of world coordinates.
+
+    On a CPU every object is encoded alone. The sums inside a matrix product are ordered by its shape, so tokens of
+    objects that share one differ in the last bits with the company; alone, they are the same bits in every scene. On
+    a GPU objects are encoded together and the tokens are the same up to rounding.
+
+    Args:
+        network: with object tokens, in evaluation mode, on `device`; its weights must not change from here on.
+        device: of the network.
+        max_bytes: of the tokens that are kept.
+        triangles_at_once: objects are encoded together up to so many, larger ones alone; None chooses by the device.
+    """
+
+    def __init__(
+        self,
+        network: RenderFormerPP,
+        device: torch.device,
+        max_bytes: int = 256 << 20,
+        triangles_at_once: int | None = None,
+    ):
+        self.network, self.device = network, device
+        self._triangles_at_once = triangles_at_once or (1 if device.type == "cpu" else _GPU_TRIANGLES)
+        self._kept: BoundedCache[_ObjectTokens] = BoundedCache(max_bytes)
+        #: Objects encoded so far.
+        self.encoded = 0
+
+    def encode(self, batch: RaggedBatch) -> EncodedScenes:
+        """As `RenderFormerPP.encode`.
+
+        Args:
+            batch: a single scene, on the CPU.
+        """
+        return self.network.transported(*self.tokenize(batch))
+
+    def tokenize(self, batch: RaggedBatch) -> tuple[Float[Tensor, " b"], SceneTokens]:
+        """As `RenderFormerPP.tokenize`, for a single scene on the CPU."""
+        exposure = self.network.exposure(batch)
+        batch = batch.dimmed(exposure)
+        keys = object_keys(batch)
+        tokens = {key: self._kept.get(key) for key in keys}
+        missing = {key: number for number, key in enumerate(keys) if tokens[key] is None}
+        for numbers in self._chunks(list(missing.values()), batch.objects.lengths):
+            for number, made in zip(numbers, self._encoded(batch, numbers), strict=True):
+                tokens[keys[number]] = made
+                self._kept.put(keys[number], made, sum(part.nbytes for part in made))
+        features, points, log_emission = (torch.cat(p) for p in zip(*(tokens[key] for key in keys), strict=True))
+        segments = Segments.from_lengths([len(features)], self.device)
+        return exposure.to(self.device), SceneTokens(features, points, log_emission, segments)
+
+    def _chunks(self, numbers: Sequence[int], lengths: Sequence[int]) -> Iterator[list[int]]:
+        """Objects to be encoded together."""
+        chunk, triangles = [], 0
+        for number in numbers:
+            if chunk and triangles + lengths[number] > self._triangles_at_once:
+                yield chunk
+                chunk, triangles = [], 0
+            chunk.append(number)
+            triangles += lengths[number]
+        if chunk:
+            yield chunk
+
+    def _encoded(self, batch: RaggedBatch, numbers: Sequence[int]) -> list[_ObjectTokens]:
+        self.encoded += len(numbers)
+        tokens = self.network.tokens(only(batch, numbers).to(self.device))
+        parts = tokens.features, tokens.points, tokens.log_emission
+        # copies, because what is kept must not hold on to the whole chunk
+        split = ([piece.clone() for piece in part.chunk(len(numbers))] for part in parts)
+        return [_ObjectTokens(*pieces) for pieces in zip(*split, strict=True)]
+
+
+def object_keys(batch: RaggedBatch) -> list[bytes]:
+    """A digest of everything an object's encoder sees, for each object of a batch on the CPU."""
+    arrays = [batch.positions, batch.normals, batch.material, *([] if batch.texture is None else [batch.texture])]
+    arrays = [np.ascontiguousarray(array.numpy()) for array in arrays]
+    keys = []
+    for first, last in pairwise(batch.objects.offsets.tolist()):
+        digest = blake2b(digest_size=16)
+        for array in arrays:
+            digest.update(array[first:last])
+        keys.append(digest.digest())
+    return keys
+
+
+def only(batch: RaggedBatch, objects: Sequence[int]) -> RaggedBatch:
+    """Some objects of a scene, in this order, as a scene of their own."""
+    offsets = batch.objects.offsets.tolist()
+    rows = torch.cat([torch.arange(offsets[number], offsets[number + 1]) for number in objects])
+    return replace(
+        batch,
+        positions=batch.positions[rows],
+        normals=batch.normals[rows],
+        material=batch.material[rows],
+        objects=Segments.from_lengths([batch.objects.lengths[number] for number in objects]),
+        scenes=Segments.from_lengths([len(objects)]),
+        texture=None if batch.texture is None else batch.texture[rows],
+    )

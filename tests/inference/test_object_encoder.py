@@ -1,0 +1,135 @@
+"""An edited scene costs the edited objects, and gives the bits of a renderer that has never seen another."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from edited_scenes import added, changed, dimmed, lamp, moved, recoloured, removed, reordered, scene
+from networks import checkpoint_info, network
+from random_scenes import random_views
+
+from rfpp import Renderer
+from rfpp.batch import RaggedBatch
+from rfpp.inference.object_encoder import ObjectEncoder, object_keys
+
+#: The paper's network, and one that is given direct light and sees scenes at their exposure.
+NETWORKS = {"paper": (), "exposed": ("+experiment=quickstart",)}
+CPU = torch.device("cpu")
+
+
+def renderer(name: str) -> Renderer:
+    return Renderer(network(*NETWORKS[name]), checkpoint_info())
+
+
+def views(seed: int = 0, sizes=(12, 5, 40, 1)):
+    return random_views(np.random.default_rng(seed), sizes)
+
+
+@pytest.mark.parametrize(
+    ("edit", "paper", "exposed"),
+    [
+        # where a scene is seen at its exposure, whatever light arrives changes what both lights emit
+        (moved, 1, 1 + 2),
+        (recoloured, 1, 1),
+        (dimmed, 1, 2),
+        (added, 1, 1 + 2),
+        (removed, 0, 2),
+        (reordered, 0, 0),
+    ],
+)
+def test_an_edit_encodes_what_changed_and_is_exact(edit, paper, exposed):
+    for name, expected in (("paper", paper), ("exposed", exposed)):
+        warm = renderer(name)
+        before = warm.render(scene())
+        known = warm.objects.encoded
+        assert known == len(scene().objects)
+        after = warm.render(edit(scene()))
+        assert warm.objects.encoded - known == expected, name
+        np.testing.assert_array_equal(after, renderer(name).render(edit(scene())))
+        np.testing.assert_array_equal(warm.render(scene()), before)  # and back
+        if edit is not reordered:
+            assert np.abs(after - before).max() > 1e-6 * before.max()
+
+
+def test_half_the_power_of_all_lights_encodes_nothing_at_the_scenes_exposure():
+    warm = renderer("exposed")
+    before = warm.render(scene())
+    known = warm.objects.encoded
+    half = changed(changed(scene(), "lamp", material=lamp(1500)), "spot", material=lamp(350))
+    np.testing.assert_allclose(warm.render(half), before / 2, rtol=1e-4, atol=1e-6 * before.max())
+    assert warm.objects.encoded == known
+
+
+@pytest.mark.parametrize("part", ["positions", "normals", "material"])
+def test_tokens_follow_everything_an_object_is_made_of(part):
+    original = views()
+    array = getattr(original.triangles, part).copy()
+    array[12] += 0.01  # the second object's first triangle
+    edited = replace(original, triangles=replace(original.triangles, **{part: array}))
+    before, after = (object_keys(RaggedBatch.pack([v])) for v in (original, edited))
+    assert [a == b for a, b in zip(before, after, strict=True)] == [True, False, True, True]
+
+
+def test_a_texture_is_part_of_an_object():
+    texture = np.zeros((58, 13, 4, 4), np.float32)
+    painted = texture.copy()
+    painted[-1, 0, 2, 1] = 0.5
+    keys = [object_keys(RaggedBatch.pack([replace(views(), texture=t)])) for t in (None, texture, painted)]
+    assert not set(keys[0]) & set(keys[1])
+    assert [a == b for a, b in zip(*keys[1:], strict=True)] == [True, True, True, False]
+
+
+@torch.inference_mode()
+def test_objects_encoded_alone_together_and_in_chunks_are_the_same_but_for_rounding():
+    net, batch = network(), RaggedBatch.pack([views()])
+    _, whole = net.tokenize(batch)
+    for at_once in (1, 20, 10**6):
+        _, tokens = ObjectEncoder(net, CPU, triangles_at_once=at_once).tokenize(batch)
+        torch.testing.assert_close(tokens.features, whole.features, rtol=1e-5, atol=1e-5)
+        torch.testing.assert_close(tokens.points, whole.points)
+        torch.testing.assert_close(tokens.log_emission, whole.log_emission)
+        assert tokens.segments.lengths == whole.segments.lengths
+
+
+@torch.inference_mode()
+def test_an_objects_tokens_are_the_same_bits_in_any_company():
+    net = network()
+    original = views(sizes=(3, 33, 64, 1, 17))
+    offsets = original.triangles.object_offsets
+    tokens = ObjectEncoder(net, CPU).tokenize(RaggedBatch.pack([original]))[1].features.chunk(5)
+    for number in range(5):
+        rows = slice(offsets[number], offsets[number + 1])
+        triangles = original.triangles
+        alone = replace(
+            triangles,
+            **{part: getattr(triangles, part)[rows] for part in ("positions", "normals", "material")},
+            object_offsets=np.array([0, rows.stop - rows.start], np.int32),
+            object_names=("alone",),
+        )
+        batch = RaggedBatch.pack([replace(original, triangles=alone)])
+        assert torch.equal(ObjectEncoder(net, CPU).tokenize(batch)[1].features, tokens[number])
+
+
+@torch.inference_mode()
+def test_chunks_hold_as_many_triangles_as_allowed(monkeypatch):
+    net, seen = network(), []
+    make = net.tokens
+    monkeypatch.setattr(net, "tokens", lambda part: seen.append(part.objects.lengths) or make(part))
+    ObjectEncoder(net, CPU, triangles_at_once=20).tokenize(RaggedBatch.pack([views(sizes=(12, 5, 4, 40, 1, 19))]))
+    assert seen == [(12, 5), (4,), (40,), (1, 19)]
+
+
+@torch.inference_mode()
+def test_little_memory_costs_time_and_changes_nothing():
+    net, batch = network(), RaggedBatch.pack([views()])
+    roomy, cramped = ObjectEncoder(net, CPU), ObjectEncoder(net, CPU, max_bytes=1)
+    for _ in range(2):
+        assert torch.equal(roomy.tokenize(batch)[1].features, cramped.tokenize(batch)[1].features)
+    assert (roomy.encoded, cramped.encoded) == (4, 8)
+
+
+def test_networks_of_triangle_tokens_are_rendered_whole():
+    whole = Renderer(network("model=renderformer"), checkpoint_info())
+    assert whole.objects is None
+    assert np.isfinite(whole.render(scene())).all()
