@@ -7,6 +7,8 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
 
@@ -39,11 +41,9 @@ def main(cfg: DictConfig) -> list[Path]:
     height, width = renderer.image_size(tuple(resolution) if isinstance(resolution, list) else resolution)
 
     begin = time.perf_counter()
-    images = renderer.render(scene, (height, width))
+    targets = output_files(Path(cfg.output), Path(cfg.scene).stem, len(scene.fov))
+    images = written_beside(renderer.views(scene, (height, width)), targets)
     console.print(f"{scene.name}: {len(images)} views of {width} x {height} in {time.perf_counter() - begin:.2f} s")
-    targets = output_files(Path(cfg.output), Path(cfg.scene).stem, len(images))
-    for image, target in zip(images, targets, strict=True):
-        write_pictures(image, target)
     if cfg.reference:
         settings = OmegaConf.load(CONFIG_DIR / "reference" / f"{cfg.reference_settings}.yaml")
         references = reference_images(scene, height, width, instantiate(settings), console)
@@ -76,6 +76,20 @@ def output_files(output: Path, stem: str, views: int) -> list[Path]:
             return [output]
         output, stem = output.parent, output.stem
     return [output / f"{stem}_{view}.exr" for view in range(views)]
+
+
+def written_beside(images: Iterable[np.ndarray], targets: Sequence[Path]) -> list[np.ndarray]:
+    """The images, each written by a thread while the next one is rendered."""
+    kept: list[np.ndarray] = []
+    with ThreadPoolExecutor(1, "writing") as beside:
+        writing = None
+        for image, target in zip(images, targets, strict=True):
+            if writing:
+                writing.result()  # raises what went wrong: nothing more is rendered for a full disk
+            writing = beside.submit(write_pictures, image, target)
+            kept.append(image)
+        writing.result()
+    return kept
 
 
 def write_pictures(radiance: np.ndarray, target: Path) -> None:
