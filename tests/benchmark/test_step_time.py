@@ -1,0 +1,78 @@
+"""The model of a training step's time, where the answer is known."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from rfpp.benchmark.step_time import BACKWARD_SHARE, Cluster, Work, all_reduce_seconds, slowest_share, step_time
+
+WORK = Work(scene_flops=np.full(10, 3e12), gradient_bytes=8e8, scenes=16, scenes_at_once=None, views=2)
+CLUSTER = Cluster(
+    devices_per_node=8, flops_per_second=1e12, seconds_per_batch=0.5, device_bandwidth=1e11, node_bandwidth=1e10,
+    latency=0.0, bucket_bytes=0.0, overlap=0.0, images_per_second=100.0,
+)  # fmt: skip
+
+
+def test_one_device_computes_and_neither_waits_nor_communicates():
+    time = step_time(CLUSTER, WORK, 1)
+    assert (time.compute, time.waiting, time.communication) == pytest.approx((16 * 3 + 0.5, 0, 0))
+    assert time.total == time.compute
+
+
+def test_equal_scenes_are_divided_and_nobody_waits():
+    time = step_time(CLUSTER, WORK, 4)
+    assert time.compute == pytest.approx(4 * 3 + 0.5)
+    assert time.waiting == pytest.approx(0)
+
+
+def test_what_a_device_cannot_hold_comes_after_at_the_price_of_a_batch_each():
+    assert step_time(CLUSTER, replace(WORK, scenes_at_once=3), 4).compute == pytest.approx(4 * 3 + 2 * 0.5)
+
+
+def test_the_slowest_of_two_devices_is_late_by_what_chance_says():
+    """One scene each, 1 or 3 with even chances: the maximum's mean is 2.5 where the mean is 2."""
+    assert slowest_share(np.array([1.0, 3.0]), devices=2, share=1) == pytest.approx(1.25, abs=0.02)
+
+
+def test_more_scenes_on_a_device_even_out_and_more_devices_do_not():
+    scenes = np.random.default_rng(0).uniform(1, 8, 100)
+    late = {(n, share): slowest_share(scenes, n, share) for n in (2, 8, 32) for share in (1, 4)}
+    assert 1 < late[2, 1] < late[8, 1] < late[32, 1] < 8 / 4.5 + 0.05
+    assert all(late[n, 4] < late[n, 1] for n in (2, 8, 32))
+
+
+def test_a_ring_moves_each_byte_nearly_twice():
+    """2 (n - 1) / n of the bytes pass each device: Patarasuk and Yuan 2009."""
+    assert all_reduce_seconds(CLUSTER, 8e8, 1) == 0
+    assert all_reduce_seconds(CLUSTER, 8e8, 2) == pytest.approx(8e8 / 1e11)
+    assert all_reduce_seconds(CLUSTER, 8e8, 8) == pytest.approx(2 * 7 / 8 * 8e8 / 1e11)
+
+
+def test_between_nodes_the_network_decides():
+    assert all_reduce_seconds(CLUSTER, 8e8, 16) == pytest.approx((2 * 7 / 8 / 1e11 + 1 / 1e10) * 8e8)
+
+
+def test_communication_hides_behind_the_backward_pass_but_for_its_last_bucket():
+    slow = replace(CLUSTER, device_bandwidth=1e8)
+    alone = step_time(slow, WORK, 2).communication
+    assert alone == pytest.approx(8.0)
+    backward = BACKWARD_SHARE * 8 * 3
+    assert step_time(replace(slow, overlap=0.25), WORK, 2).communication == pytest.approx(alone - 0.25 * backward)
+    hidden = replace(slow, overlap=1.0, bucket_bytes=1e8)
+    assert step_time(hidden, WORK, 2).communication == pytest.approx(1.0)
+    # only the last of eight batches has its gradients averaged
+    held = replace(WORK, scenes_at_once=1)
+    assert step_time(replace(slow, overlap=1.0), held, 2).communication == pytest.approx(alone - backward / 8)
+
+
+def test_data_that_come_late_decide():
+    time = step_time(replace(CLUSTER, images_per_second=0.1), WORK, 4)
+    assert time.total == time.data == pytest.approx(4 * 2 / 0.1)
+
+
+def test_a_batch_that_does_not_divide_is_refused():
+    with pytest.raises(ValueError, match="16 scenes do not divide among 3"):
+        step_time(CLUSTER, WORK, 3)
+    with pytest.raises(ValueError, match="among 32"):
+        step_time(CLUSTER, WORK, 32)
