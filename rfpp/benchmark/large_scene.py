@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 import torch
@@ -25,9 +26,10 @@ def measure(
     device: str,
     progress: Callable[[int, int], None],
 ) -> list[Row]:
-    """One row: seconds to make the scene, to render it, and to render it again with one object moved.
+    """A row per step: packing the scene's triangles, rendering it, rendering it again with one object moved.
 
-    `peak_GB` is the resident memory that this process, with its libraries, weights and scene, has taken at most.
+    `peak_GB` is the resident memory that this process, with its libraries, weights and scene, has taken at most until
+    the step was done.
 
     Args:
         network: untrained ones cost the same.
@@ -37,25 +39,29 @@ def measure(
         device: where to render.
         progress: called with (steps done, steps in all).
     """
-    scene, scene_seconds = timed(lambda: pack(spheres(triangles, objects, views=1, seed=seed)))
-    progress(1, 3)
     remembering = renderer(network, resolution, device)
-    _, render_seconds = timed(lambda: remembering.render(scene))
-    progress(2, 3)
-    edited = pack(moved(spheres(triangles, objects, views=1, seed=seed), np.random.default_rng(seed)))
-    _, moved_seconds = timed(lambda: remembering.render(edited))
-    progress(3, 3)
-    return [
-        {
-            "triangles": len(scene.triangles),
-            "objects": scene.triangles.num_objects,
-            "resolution": resolution,
-            "parameters_M": sum(p.numel() for p in network.parameters()) / 1e6,
-            "device": device,
-            "threads": torch.get_num_threads(),
-            "scene_s": scene_seconds,
-            "render_s": render_seconds,
-            "object_moved_s": moved_seconds,
-            "peak_GB": peak_resident() / 1e9,
-        }
-    ]
+    scene = spheres(triangles, objects, views=1, seed=seed)
+    edited = pack(moved(scene, np.random.default_rng(seed)))
+    steps: dict[str, Callable[[], object]] = {
+        "triangles packed": partial(pack, scene),
+        "rendered": partial(remembering.render, pack(scene)),
+        "rendered with an object moved": partial(remembering.render, edited),
+    }
+    rows = []
+    for number, (name, step) in enumerate(steps.items(), start=1):
+        _, seconds = timed(step)
+        rows.append(
+            {
+                "step": name,
+                "triangles": triangles,
+                "objects": objects,
+                "resolution": resolution,
+                "parameters_M": sum(p.numel() for p in network.parameters()) / 1e6,
+                "device": device,
+                "threads": torch.get_num_threads(),
+                "seconds": seconds,
+                "peak_GB": peak_resident() / 1e9,
+            }
+        )
+        progress(number, len(steps))
+    return rows
