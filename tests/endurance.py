@@ -20,7 +20,6 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-import psutil
 import torch
 from mlflow import MlflowClient
 from slurm_cluster import SlurmCluster
@@ -68,31 +67,18 @@ def submit(cluster: SlurmCluster, run_dir: Path, overrides: tuple[str, ...]) -> 
 
 def kill_often(cluster: SlurmCluster, job: str, times: int, minutes: tuple[float, float], draw: random.Random) -> None:
     kinds: dict[str, Callable[[], None]] = {
-        "SIGKILL to one rank": lambda: draw.choice(ranks(job)).kill(),
-        "SIGKILL to both ranks": lambda: [rank.kill() for rank in ranks(job)],
+        "SIGKILL to one rank": lambda: draw.choice(cluster.tasks(job)).kill(),
+        "SIGKILL to both ranks": lambda: [rank.kill() for rank in cluster.tasks(job)],
         "SIGUSR1, as before the time limit": lambda: cluster.signal(job, "USR1"),
         "scontrol requeue": lambda: subprocess.run(["scontrol", "requeue", job], check=True),
     }
     order = draw.sample(list(kinds), len(kinds))
     for i in range(times):
         time.sleep(60 * draw.uniform(*minutes))
-        while cluster.states(job) != ["RUNNING"] or len(ranks(job)) < 2:
+        while cluster.states(job) != ["RUNNING"] or len(cluster.tasks(job)) < 2:
             time.sleep(1)
         kinds[order[i % len(order)]]()
         print(f"{time.strftime('%H:%M:%S')} kill {i + 1}: {order[i % len(order)]}", flush=True)
-
-
-def ranks(job: str) -> list[psutil.Process]:
-    """The training processes of a job."""
-    found = []
-    for process in psutil.process_iter():
-        try:
-            is_rank = "launch/train.py" in process.cmdline() and process.name().startswith("python")
-            if is_rank and process.environ().get("SLURM_JOB_ID") == job and "SLURM_PROCID" in process.environ():
-                found.append(process)
-        except psutil.Error:
-            continue
-    return found
 
 
 def compare(killed: Path, uninterrupted: Path) -> int:

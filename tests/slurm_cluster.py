@@ -12,6 +12,8 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
+import psutil
+
 _SETTINGS = """
 ClusterName=tests
 SlurmctldHost={host}(127.0.0.1)
@@ -53,7 +55,7 @@ class SlurmCluster:
     nodes: int = 1
 
     def start(self) -> None:
-        ports = _free_ports(self.nodes + 1)
+        ports = free_ports(self.nodes + 1)
         first_line = subprocess.run(["slurmd", "-C"], capture_output=True, text=True, check=True).stdout.splitlines()[0]
         hardware = re.sub(r"NodeName=\S+ ", "", first_line)
         host = socket.gethostname().split(".")[0]
@@ -95,6 +97,22 @@ class SlurmCluster:
         """Send a signal to every task of a job, as Slurm does before a time limit."""
         subprocess.run(["scancel", f"--signal={name}", job], timeout=30, check=True)
 
+    def cancel(self, job: str) -> None:
+        """End a job as its owner does."""
+        subprocess.run(["scancel", job], timeout=30, check=True)
+
+    def tasks(self, job: str) -> list[psutil.Process]:
+        """The processes that Slurm's daemons have started for a job's tasks, in their order."""
+        found = {}
+        for process in psutil.process_iter():
+            try:
+                variables = process.environ()
+                if variables.get("SLURM_JOB_ID") == job and process.parent().name().startswith("slurmstepd"):
+                    found[int(variables["SLURM_PROCID"])] = process
+            except (psutil.Error, KeyError, AttributeError):  # the batch script is no task; others have ended
+                continue
+        return [found[rank] for rank in sorted(found)]
+
     def wait(self, job: str, timeout: float = 240) -> list[str]:
         """Wait until all tasks of a job have ended; returns their states."""
         deadline = time.monotonic() + timeout
@@ -134,7 +152,8 @@ def is_available() -> bool:
     return os.geteuid() == 0 and all(map(shutil.which, ("munged", "slurmctld", "slurmd", "sbatch", "srun")))
 
 
-def _free_ports(count: int) -> list[int]:
+def free_ports(count: int) -> list[int]:
+    """Ports that nothing listens on."""
     sockets = [socket.socket() for _ in range(count)]
     for each in sockets:
         each.bind(("127.0.0.1", 0))

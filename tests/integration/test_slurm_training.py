@@ -5,34 +5,59 @@ from pathlib import Path
 
 import torch
 from marks import requires_slurm
+from slurm_cluster import free_ports
 from small_data import make
 from training_runs import SETTINGS, differing, train, wait_for_step
+
+from rfpp.training.checkpoints import step_file
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 RUN = ("steps=12", "trainer.val_check_interval=5", "+callbacks.skewed._target_=skewed.Skewed")
 
 
-@requires_slurm
-def test_a_preempted_job_of_two_nodes_is_requeued_and_goes_on(slurm, tmp_path):
-    data = Path(make(tmp_path / "data" / "small", splits={"train": 7, "validation": 2}).root)
-    environment = {"PYTHON": sys.executable, "PYTHONPATH": REPOSITORY / "tests", "MASTER_ADDR": "127.0.0.1"}
+def submitted(slurm, folder: Path) -> tuple[str, Path, Path]:
+    """A job of two ranks on two nodes, the second behind the first; returns its number, its data, its run folder."""
+    data = Path(make(folder / "data" / "small", splits={"train": 7, "validation": 2}).root)
+    environment = {"PYTHON": sys.executable, "PYTHONPATH": REPOSITORY / "tests"}
+    # Lightning's port follows from the job's number, which another Slurm on this machine may have given too
+    environment |= {"MASTER_ADDR": "127.0.0.1", "MASTER_PORT": free_ports(1)[0]}
     job = slurm.submit(
-        "--nodes=2", "--ntasks-per-node=1", "--cpus-per-task=1", "--gpus-per-node=0", f"--output={tmp_path}/log",
+        "--nodes=2", "--ntasks-per-node=1", "--cpus-per-task=1", "--gpus-per-node=0", f"--output={folder}/log",
         "--export=ALL,OMP_NUM_THREADS=1," + ",".join(f"{key}={value}" for key, value in environment.items()),
         "launch/slurm/train.sbatch", *SETTINGS, *RUN, "trainer.strategy=ddp", f"data.root={data}",
-        f"run_dir={tmp_path}/${{oc.env:RFPP_RUN}}", f"logger.folder={tmp_path}", cwd=REPOSITORY,
+        f"run_dir={folder}/${{oc.env:RFPP_RUN}}", f"logger.folder={folder}", cwd=REPOSITORY,
     )  # fmt: skip
-    run_dir = tmp_path / f"slurm-{job}"
+    return job, data, folder / f"slurm-{job}"
+
+
+@requires_slurm
+def test_a_preempted_and_a_killed_job_are_requeued_and_go_on(slurm, tmp_path):
+    job, data, run_dir = submitted(slurm, tmp_path)
     wait_for_step(run_dir, 2)
     slurm.signal(job, "USR1")
+    wait_for_step(run_dir, 7)
+    slurm.tasks(job)[1].kill()
     states = slurm.wait(job)
     log = (tmp_path / "log").read_text()
     assert states == ["COMPLETED"], log
     stops = [line for line in log.splitlines() if "stopped by" in line]
     assert len(stops) == 1
     assert stops[0].endswith(f"of 12: job {job} is requeued")
-    assert f"Goes on from {run_dir}/checkpoints/" in "".join(log.splitlines()), log
+    assert "".join(log.splitlines()).count(f"Goes on from {run_dir}/checkpoints/") == 2, log
     ended = torch.load(run_dir / "checkpoints" / "last.ckpt", weights_only=True)
     assert ended["global_step"] == 12
     assert len(ended["random_states"]) == 2
     assert differing(ended, train(tmp_path / "uninterrupted", data, *RUN, ranks=2)) == []
+
+
+@requires_slurm
+def test_a_cancelled_job_saves_and_ends(slurm, tmp_path):
+    job, _, run_dir = submitted(slurm, tmp_path)
+    wait_for_step(run_dir, 1)
+    slurm.cancel(job)
+    assert slurm.wait(job) == ["CANCELLED"]
+    log = (tmp_path / "log").read_text()
+    [stopped] = [line for line in log.splitlines() if "stopped by SIGTERM after step" in line]
+    assert stopped.endswith(f"the same command with run_dir={run_dir} goes on")
+    step = int(stopped.split("after step ")[1].split()[0])
+    assert (run_dir / "checkpoints" / "last.ckpt").resolve() == step_file(run_dir / "checkpoints", step)
