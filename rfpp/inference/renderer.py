@@ -29,8 +29,8 @@ class Renderer:
         renderer = Renderer.load("data/runs/quickstart/latest/checkpoints/best.ckpt")
         images = renderer.render(Scene.load("data/scenes/cornell_box.json"))
 
-    It remembers what objects were encoded to and what cameras saw first, so that a scene that was edited costs what
-    the edit changed, and gives exactly the image that a new renderer would. Any number of threads may share it.
+    It remembers what objects were encoded to and what cameras saw first, so that an edited scene costs what the edit
+    changed; the image is the one that a new renderer would give, on a CPU to the last bit. Threads may share it.
 
     Args:
         network: RaggedBatch → Rendering, in evaluation mode; its weights must not change from here on.
