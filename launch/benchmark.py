@@ -26,6 +26,7 @@ from rfpp.training.tracking import code_version
 def main(cfg: DictConfig) -> list[Row]:
     """Run the benchmark `cfg.benchmark`; returns its rows."""
     console = Console()
+    commit = code_version() or "unknown"  # of what runs: others may commit meanwhile
     measure = instantiate(cfg.benchmark, _convert_="all")
     with _bar(console) as show:
         rows = measure(progress=show)
@@ -34,7 +35,7 @@ def main(cfg: DictConfig) -> list[Row]:
     console.width = max(console.width, console.measure(table, options=unbounded).maximum)  # break lines, not words
     console.print(table)
     if cfg.output is not None:
-        where = {"commit": code_version() or "unknown", "hardware": hardware(torch.device("cpu"))}
+        where = {"commit": commit, "hardware": hardware(torch.device(rows[0].get("device", "cpu")))}
         path = write_rows(Path(cfg.output), [{**row, **where} for row in rows])
         console.print(f"Written: {path}", highlight=False, soft_wrap=True)
     return rows
@@ -59,6 +60,8 @@ def _table(rows: list[Row]) -> Table:
 
 
 def _shown(value: str | int | float | None) -> str:
+    if value is None:
+        return ""
     return f"{value:.3g}" if isinstance(value, float) else str(value)
 
 

@@ -1,0 +1,97 @@
+"""Scenes of exactly so many triangles and objects, of invented shape: cost depends on sizes, not on looks."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from rfpp.batch import RaggedBatch, SceneViews
+from rfpp.errors import UserError
+from rfpp.gbuffer.first_hit import CHANNELS
+from rfpp.scene.camera import camera_to_world
+from rfpp.scene.spec import Camera
+from rfpp.scene.triangles import SceneTriangles
+
+#: Of a scene's objects so many are lights, at most half of them: single triangles, as in all families of scenes.
+LIGHTS = 4
+#: Standard deviation of the logarithm of an object's triangle count.
+_SPREAD = 0.5
+
+
+@dataclass(frozen=True)
+class Case:
+    """What is rendered, or trained on.
+
+    Attributes:
+        triangles, objects, views: of each scene; its lights are objects, too.
+        resolution: pixels along both sides of a view.
+        scenes: of the batch.
+    """
+
+    triangles: int
+    objects: int
+    views: int
+    resolution: int
+    scenes: int
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.objects <= self.triangles or min(self.views, self.resolution, self.scenes) < 1:
+            raise UserError(f"{self}: all must be at least 1, and an object has a triangle at least")
+
+    def batch(self, channels: Sequence[str], seed: int) -> RaggedBatch:
+        """The same scenes for the same seed, with these G-buffer channels, and noise for G-buffers and images."""
+        return RaggedBatch.pack([self._scene(channels, np.random.default_rng([seed, i])) for i in range(self.scenes)])
+
+    def _scene(self, channels: Sequence[str], rng: np.random.Generator) -> SceneViews:
+        sizes = object_sizes(self.triangles, self.objects, rng)
+        triangles = _triangles(sizes, rng)
+        eyes = 1.8 * _directions(rng, self.views)
+        cameras = [Camera(position=tuple(eye), look_at=(0, 0, 0), up=(0.1, 0.2, 1), fov=40) for eye in eyes.tolist()]
+        shape = (self.views, 3 + sum(CHANNELS[name] for name in channels), self.resolution, self.resolution)
+        image, gbuffer = np.split(rng.random(shape, np.float32), [3], axis=1)
+        return SceneViews(
+            key="invented",
+            triangles=triangles,
+            c2w=np.stack([camera_to_world(camera) for camera in cameras]),
+            fov=np.full(self.views, 40, np.float32),
+            gbuffer=gbuffer,
+            image=image,
+        )
+
+
+def object_sizes(triangles: int, objects: int, rng: np.random.Generator) -> Int[np.ndarray, " objects"]:
+    """How many triangles each object has, as uneven as in real scenes; lights come last."""
+    lights = min(LIGHTS, objects // 2)
+    shares = np.cumsum(rng.lognormal(0, _SPREAD, objects - lights))
+    ends = np.round((triangles - objects) * shares / shares[-1]).astype(int)  # beyond the one that each has at least
+    return np.concatenate([1 + np.diff(ends, prepend=0), np.ones(lights, int)])
+
+
+def _triangles(sizes: Int[np.ndarray, " objects"], rng: np.random.Generator) -> SceneTriangles:
+    """Spheres of small triangles in the unit box, and lights around it."""
+    total, objects = int(sizes.sum()), len(sizes)
+    lights = min(LIGHTS, objects // 2)
+    owner = np.repeat(np.arange(objects), sizes)
+    centres = np.concatenate([rng.uniform(-0.4, 0.4, (objects - lights, 3)), 2.4 * _directions(rng, lights)])
+    edge = 2 / np.sqrt(sizes)[owner, None, None]  # of triangles that cover a sphere
+    normals = _normalised(_directions(rng, total)[:, None] + edge * rng.normal(size=(total, 3, 3)))
+    reflectance = np.repeat(rng.uniform(0.05, 0.5, (objects, 7)), sizes, axis=0)
+    emission = np.where(owner >= objects - lights, 3000.0, 0.0)[:, None].repeat(3, axis=1)
+    return SceneTriangles(
+        positions=(centres[owner, None] + 0.1 * normals).astype(np.float32),
+        normals=normals.astype(np.float32),
+        material=np.concatenate([reflectance, emission], axis=1).astype(np.float32),
+        object_offsets=np.concatenate([[0], np.cumsum(sizes)]).astype(np.int32),
+        object_names=tuple(f"object {i}" for i in range(objects)),
+    )
+
+
+def _directions(rng: np.random.Generator, count: int) -> Float[np.ndarray, "count 3"]:
+    return _normalised(rng.normal(size=(count, 3)))
+
+
+def _normalised(vectors: Float[np.ndarray, "*rows 3"]) -> Float[np.ndarray, "*rows 3"]:
+    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
