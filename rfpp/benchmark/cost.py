@@ -236,6 +236,7 @@ def _device_columns(setting: Setting) -> Row:
     return {
         "device": setting.where,
         "precision": setting.precision,
+        "compiled": str(setting.compile).lower(),
         "threads": torch.get_num_threads(),
         "torch": torch.__version__,
         "matrix_TFLOP_per_s": matrix_product_rate(torch.device(setting.where), setting.dtype) / 1e12,

@@ -38,7 +38,7 @@ _PANELS = {
         "GB", "peak_GB", {"render": ":", "training_step": "-", "checkpointed_training_step": "--"}
     ),
 }  # fmt: skip
-_NAMES = {"checkpointed_training_step": "training step, activations recomputed", "training_step": "training step"}
+_NAMES = {"checkpointed_training_step": "training, activations recomputed", "training_step": "training"}
 
 Row = dict[str, str]
 
@@ -93,9 +93,12 @@ def figure(rows: Sequence[Row]) -> Figure:
                 _draw(axis, *curve(rows, name, quantity, column), line, colour)
         axis.set(title=title, ylabel=unit, xscale="log", yscale="log")
         axis.grid(which="both", alpha=0.2)
-        axis.legend(handles=_legend(fitted, lines, exponent_too="encode" in lines))
-    for axis in axes[1]:
+        axis.legend(handles=_legend(fitted, lines, exponent_too="encode" in lines), fontsize="small")
+    measured = sorted({int(row["triangles"]) for row in rows})
+    for axis in axes[1]:  # shared with those above
         axis.set_xlabel("triangles")
+        axis.set_xticks(measured, [f"{n / 1000:g}K" for n in measured])
+        axis.xaxis.minorticks_off()
     about = {key: rows[0].get(key, "") for key in ("hardware", "precision", "objects", "resolution", "commit")}
     made.suptitle("{hardware}, {precision}, {objects} objects, {resolution}², commit {commit}".format(**about))
     return made

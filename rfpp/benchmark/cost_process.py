@@ -31,8 +31,8 @@ _RESERVE = 0.5 * GB
 #: when they are first used: later, it would count as their memory.
 _PROCESSES = multiprocessing.get_context("forkserver")
 _PROCESSES.set_forkserver_preload([__name__, "torch._dynamo"])
-#: Seconds between two looks at a process.
-_LOOK_EVERY = 0.05
+#: Seconds between two looks at a process, and until one that has nothing more to do is killed.
+_LOOK_EVERY, _LEAVES_WITHIN = 0.05, 5.0
 
 
 class NotMeasuredError(Exception):
@@ -93,8 +93,9 @@ class MeasuringProcess:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._end()
         self._connection.close()
+        self._process.join(_LEAVES_WITHIN)
+        self._end()
 
     def ready(self) -> None:
         """Wait until network and batch are there. Raises NotMeasuredError."""
@@ -149,7 +150,7 @@ def _serve(connection: Connection, network: Untrained, task: Task, case: Case, s
     try:
         setting.apply()
         memory = _Memory(setting.where)
-        made = network(setting.where)
+        made = setting.network(network)
         run = task.prepared(made, case.batch(made.gbuffer_channels, setting.seed).to(setting.where), setting)
         held = memory.now()
         memory.begin()

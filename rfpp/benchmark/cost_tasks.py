@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, ClassVar, Protocol, runtime_checkable
 
 import torch
@@ -17,9 +18,9 @@ from rfpp.errors import UserError
 from rfpp.inference.checkpoint import build
 from rfpp.losses.rendering import RenderingLoss
 from rfpp.model.renderformer_pp import RenderFormerPP
+from rfpp.training.blocks import checkpoint_activations, compile_blocks
 from rfpp.training.flops import training_flops
 from rfpp.training.module import decay_groups
-from rfpp.training.run import checkpoint_activations
 
 #: By Lightning's names.
 PRECISIONS = {"bf16-mixed": torch.bfloat16, "32-true": torch.float32}
@@ -51,12 +52,14 @@ class Setting:
         device: "cpu", "cuda", or "auto": a GPU if there is one.
         precision: "bf16-mixed" (autocast, as in training) or "32-true".
         threads: of the CPU; None: as many as PyTorch chooses.
+        compile: the transformer blocks, as training does where it is asked to.
         seed: of weights and scenes.
     """
 
     device: str
     precision: str
     threads: int | None
+    compile: bool
     seed: int
 
     def __post_init__(self) -> None:
@@ -67,7 +70,7 @@ class Setting:
         if self.device == "cuda" and not torch.cuda.is_available():
             raise UserError("device=cuda: PyTorch finds no GPU: choose device=cpu")
 
-    @property
+    @cached_property
     def where(self) -> str:
         """ "cpu" or "cuda"."""
         return ("cuda" if torch.cuda.is_available() else "cpu") if self.device == "auto" else self.device
@@ -83,6 +86,13 @@ class Setting:
         torch.manual_seed(self.seed)
         if self.threads is not None:
             torch.set_num_threads(self.threads)
+
+    def network(self, untrained: Untrained) -> RenderFormerPP:
+        """On the device."""
+        made = untrained(self.where)
+        if self.compile:
+            compile_blocks(made)
+        return made
 
     def autocast(self) -> torch.autocast:
         return torch.autocast(self.where, self.dtype, enabled=self.dtype != torch.float32)

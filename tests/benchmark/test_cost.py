@@ -20,7 +20,7 @@ from rfpp.entry import CONFIG_DIR
 from rfpp.errors import UserError
 
 CASE = Case(triangles=60, objects=5, views=2, resolution=16, scenes=1)
-SETTING = Setting(device="cpu", precision="bf16-mixed", threads=1, seed=0)
+SETTING = Setting(device="cpu", precision="bf16-mixed", threads=1, compile=False, seed=0)
 NETWORKS = {
     "renderformer": Untrained("RenderFormer", model_config("+experiment=renderformer")),
     "rfpp": Untrained("RenderFormer++", model_config()),
@@ -153,7 +153,7 @@ def test_bad_settings_are_answered_in_one_line():
     with pytest.raises(UserError, match="the sweeps are small"):
         measured(only=["large"])
     with pytest.raises(UserError, match="choose from bf16-mixed, 32-true"):
-        Setting(device="cpu", precision="half", threads=None, seed=0)
+        Setting(device="cpu", precision="half", threads=None, compile=False, seed=0)
     with pytest.raises(UserError, match="resolution 12 does not divide into RenderFormer's patches of 8"):
         measure(
             NETWORKS, {}, CASE, {"odd": [{"resolution": 12}]}, None, SETTING, Rounds(0, 0), Limits(1, 1), print
