@@ -21,11 +21,11 @@ from rich.console import Console
 from rfpp.entry import entry_point
 from rfpp.inference.checkpoint import CheckpointInfo, load_initial_weights
 from rfpp.metrics.image import ImageMetrics
+from rfpp.training.blocks import checkpoint_activations, compile_blocks
 from rfpp.training.callbacks.finite_gradients import NonFiniteGradientError
 from rfpp.training.checkpoints import checkpoint_to_resume, point_at
 from rfpp.training.module import RenderingModule
 from rfpp.training.run import (
-    checkpoint_activations,
     divide_global_batch,
     same_folder_in_children,
     start_summary,
@@ -56,10 +56,10 @@ def main(cfg: DictConfig) -> Path | None:
     resumed = checkpoint_to_resume(cfg.checkpoint, run_dir / "checkpoints", config["model"])
     if cfg.initial_weights and resumed is None:
         load_initial_weights(network, cfg.initial_weights)
+    if cfg.compile:
+        compile_blocks(network)
     if cfg.activation_checkpointing:
         checkpoint_activations(network)
-    if cfg.compile:
-        network.compile()
     datamodule = instantiate(cfg.datamodule, gbuffer_channels=network.gbuffer_channels, _convert_="all")
     loss = instantiate(cfg.loss)
     tracked = not cfg.trainer.fast_dev_run

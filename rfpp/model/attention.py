@@ -172,6 +172,7 @@ class _Regather(torch.autograd.Function):
         return out.index_copy_(0, ctx.index, grad.contiguous()), None, None
 
 
+@torch.compiler.disable  # a plan of NumPy's, and kernels that are fused already
 def attend(
     q: Float[Tensor, "nq h d"], k: Float[Tensor, "nk h d"], v: Float[Tensor, "nk h d"], pattern: AttentionPattern
 ) -> Float[Tensor, "nq h d"]:

@@ -23,7 +23,7 @@ class RMSNorm(nn.RMSNorm):
         super().__init__(width, eps=eps)
 
     def forward(self, x: Float[Tensor, "*rows width"]) -> Float[Tensor, "*rows width"]:
-        if x.is_cuda:
+        if x.is_cuda or torch.compiler.is_compiling():
             return F.rms_norm(x, self.normalized_shape, self.weight.to(x.dtype), self.eps)
         eps = torch.finfo(x.dtype).eps if self.eps is None else self.eps
         return _NormaliseRows.apply(x, self.weight.to(x.dtype), eps)

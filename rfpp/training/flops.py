@@ -6,10 +6,14 @@ import time
 
 import torch
 from torch import nn
-from torch.utils.flop_counter import FlopCounterMode
+from torch.utils.flop_counter import FlopCounterMode, sdpa_flop_count
 
 from rfpp.batch import RaggedBatch
 
+#: What PyTorch's counter does not know: fused attention on a CPU.
+UNKNOWN_TO_COUNTER = {
+    torch.ops.aten._scaled_dot_product_flash_attention_for_cpu: lambda q, k, v, *_, **__: sdpa_flop_count(q, k, v)
+}
 #: Side of the matrices that a device is measured with: large enough to keep it busy, small enough to be soon done.
 MATRIX_SIZE = {"cpu": 1024, "cuda": 8192}
 #: Seconds that measuring takes.
@@ -26,7 +30,7 @@ def training_flops(network: nn.Module, batch: RaggedBatch) -> float:
     What is computed anew in the backward pass to save memory does not count: it is no progress.
     """
     devices = [batch.positions.device] if batch.positions.is_cuda else []
-    counter = FlopCounterMode(display=False)
+    counter = FlopCounterMode(display=False, custom_mapping=UNKNOWN_TO_COUNTER)
     with torch.random.fork_rng(devices), torch.compiler.set_stance("force_eager"), counter:
         network(batch)
     return 3.0 * counter.get_total_flops()

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +13,7 @@ import torch
 from lightning.pytorch.plugins.environments import SLURMEnvironment
 from omegaconf import DictConfig, OmegaConf
 from torch import nn
-from torch.utils.checkpoint import checkpoint
 
-from rfpp.model.block import CrossBlock, SelfBlock
 from rfpp.scene.files import write_atomically
 from rfpp.training.checkpoints import AtomicCheckpointIO
 from rfpp.training.datamodule import SceneDataModule
@@ -51,13 +48,6 @@ def trainer_plugins() -> list[Any]:
     """Checkpoints written whole; under Slurm none of Lightning's requeueing, which saves inside the signal handler."""
     slurm = [SLURMEnvironment(auto_requeue=False)] if SLURMEnvironment.detect() else []
     return [AtomicCheckpointIO(), *slurm]
-
-
-def checkpoint_activations(network: nn.Module) -> None:
-    """Let every transformer block forget its activations and compute them again in the backward pass."""
-    for block in network.modules():
-        if isinstance(block, SelfBlock | CrossBlock):
-            block.forward = partial(checkpoint, block.forward, use_reentrant=False)
 
 
 @contextmanager

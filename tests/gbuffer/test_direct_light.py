@@ -163,7 +163,7 @@ def test_a_scene_without_light_is_dark_and_channels_carry_the_light():
 
 @requires_blender
 @pytest.mark.parametrize("name", ["still life", "cornell_box", "many_objects_table", "roughness_spheres"])
-def test_agrees_with_cycles_direct_passes(in_blender, name):
+def test_agrees_with_cycles_direct_passes(in_process, name):
     if name == "still life":
         scene, pose, fov = still_life(), POSE, 40.0
     else:
@@ -175,7 +175,7 @@ def test_agrees_with_cycles_direct_passes(in_blender, name):
     settings = {k: v for k, v in quick.items() if k != "_target_"} | exact | {"filter_width": 0.01, "threads": 1}
     names = ["diffuse_direct", "diffuse_color", "glossy_direct", "glossy_color"]
     one_view = (pose[None].astype(np.float32), np.array([fov], np.float32))
-    cycles = in_blender(render_passes, scene, *one_view, 48, 48, CyclesSettings(**settings), names)
+    cycles = in_process(render_passes, scene, *one_view, 48, 48, CyclesSettings(**settings), names)
     gbuffer = lit(scene, pose, samples=64, size=48, fov=fov)
     for lobe, reflectance, tolerance in (("diffuse", "albedo", 0.02), ("glossy", "specular", 0.05)):
         ours = channel(gbuffer, scene.material, fov, reflectance) * getattr(gbuffer.light, lobe)

@@ -49,11 +49,11 @@ def irradiance(points: np.ndarray, normal: np.ndarray, polygon: np.ndarray, radi
     return radiance / 2 * np.abs((angle * (axis @ normal)).sum(-1))
 
 
-def test_floor_under_the_light_matches_lamberts_formula(in_blender):
+def test_floor_under_the_light_matches_lamberts_formula(in_process):
     light, albedo = LIGHT[0] * 2.5 + [0, 0, 2.1], 0.8
     scene = pack((square(), material(albedo)), (light[None], material(1.0, emission=5000.0)))
     pose = look_at((0.2, -1, 1.2))
-    image = in_blender(render, scene, one(pose), one(30), 32, 32, settings(samples=64, **RAW))[0]
+    image = in_process(render, scene, one(pose), one(30), 32, 32, settings(samples=64, **RAW))[0]
     origins, directions = pixel_rays(pose, 30.0, 32, 32)
     floor = (origins - directions * (origins[..., 2:] / directions[..., 2:])).reshape(-1, 3)
     expected = albedo / np.pi * irradiance(floor, np.array([0, 0, 1.0]), light, 5000.0).reshape(32, 32)
@@ -68,28 +68,28 @@ def test_floor_under_the_light_matches_lamberts_formula(in_blender):
     [material(diffuse=0.5), material(specular=1.0, roughness=0.6), material(diffuse=0.5, specular=0.5, roughness=0.05)],
     ids=["diffuse", "specular", "both"],
 )
-def test_furnace(in_blender, surface):
+def test_furnace(in_process, surface):
     """A convex object inside a uniformly glowing room shows its albedo times the room's radiance."""
     scene = pack((sphere(0.3), surface), (box(4.0), material(emission=2.0)))
     pose = look_at((0, -1, 0.3))
-    image = in_blender(render, scene, one(pose), one(24), 24, 24, settings(samples=64, **RAW))[0]
+    image = in_process(render, scene, one(pose), one(24), 24, 24, settings(samples=64, **RAW))[0]
     albedo = surface[0] + surface[3]
     assert first_hit(scene, pose, 24, 24, 24).hit.all()
     assert image.mean() == pytest.approx(2.0 * albedo, rel=0.02)
 
 
-def test_colours_are_linear_and_in_rgb_order(in_blender):
+def test_colours_are_linear_and_in_rgb_order(in_process):
     albedo, radiance = np.array([0.8, 0.2, 0.05]), np.array([1.0, 2.0, 4.0])
     scene = pack((sphere(0.3), material(diffuse=albedo)), (box(4.0), material(emission=radiance)))
-    image = in_blender(render, scene, one(look_at((0, -1, 0))), one(24), 16, 16, settings(samples=64, **RAW))[0]
+    image = in_process(render, scene, one(look_at((0, -1, 0))), one(24), 16, 16, settings(samples=64, **RAW))[0]
     np.testing.assert_allclose(image.mean((0, 1)), albedo * radiance, rtol=0.02)
 
 
-def test_lights_are_invisible_and_the_world_is_black(in_blender):
+def test_lights_are_invisible_and_the_world_is_black(in_process):
     lamp = sphere(0.2, (0, 0, 0.5))
     scene = pack((square(), material(0.7)), (lamp, material(0.5, emission=10.0)))
     poses = np.stack([look_at((0, -2, 0.9), (0, 0, 0.9)), look_at((0, -0.1, 2))])
-    side, above = in_blender(render, scene, poses, np.array([20, 20], np.float32), 16, 16, settings(**RAW))
+    side, above = in_process(render, scene, poses, np.array([20, 20], np.float32), 16, 16, settings(**RAW))
     assert not side.any()  # the lamp's upper half before nothing
     assert (above > 0.1).all() and above.max() < 10  # the lit floor, seen through the lamp
 
@@ -99,22 +99,22 @@ def view():
     return look_at((0.3, -1.5, 0.9), (0, 0, 0.1))
 
 
-def test_rigid_motion_of_scene_and_camera_changes_nothing(in_blender, view):
+def test_rigid_motion_of_scene_and_camera_changes_nothing(in_process, view):
     precise = settings(samples=128)
     motion = rigid_motion()
-    here = in_blender(render, still_life(), one(view), one(40), 48, 48, precise)
-    there = in_blender(render, moved(still_life(), motion), one(motion @ view), one(40), 48, 48, precise)
-    other = in_blender(render, still_life(), one(motion @ view), one(40), 48, 48, precise)
+    here = in_process(render, still_life(), one(view), one(40), 48, 48, precise)
+    there = in_process(render, moved(still_life(), motion), one(motion @ view), one(40), 48, 48, precise)
+    other = in_process(render, still_life(), one(motion @ view), one(40), 48, 48, precise)
     assert relative_error(there, here) < 0.05
     assert relative_error(other, here) > 0.5  # so the bound means something
 
 
 @pytest.mark.parametrize(("height", "width"), [(48, 64), (64, 48)])
-def test_gbuffer_agrees_with_cycles_passes(in_blender, view, height, width):
+def test_gbuffer_agrees_with_cycles_passes(in_process, view, height, width):
     scene, fov = smooth(still_life()), 40.0
     centre = settings(samples=1, denoise=False, filter_width=0.01)
     names = ["depth", "normal", "object_index"]
-    passes = in_blender(render_passes, scene, one(view), one(fov), height, width, centre, names)
+    passes = in_process(render_passes, scene, one(view), one(fov), height, width, centre, names)
     gbuffer = first_hit(scene, view, fov, height, width)
     ids = object_ids(gbuffer, scene)
     assert (passes["object_index"][0] == ids + 1).mean() > 0.995
@@ -137,38 +137,38 @@ def smooth(scene):
     return dataclasses.replace(scene, normals=normals)
 
 
-def test_left_is_left_and_up_is_up(in_blender):
+def test_left_is_left_and_up_is_up(in_process):
     red, green = (box(0.1, (-0.3, 0, 0)), material((1, 0, 0))), (box(0.1, (0, 0, 0.3)), material((0, 1, 0)))
     scene = pack(red, green, (box(4.0), material(emission=1.0)))
-    image = in_blender(render, scene, one(look_at((0, -1.5, 0))), one(40), 32, 32, settings())[0]
+    image = in_process(render, scene, one(look_at((0, -1.5, 0))), one(40), 32, 32, settings())[0]
     left_row, left_column = np.mean(np.nonzero(image[..., 0] > 0.5), axis=1)
     top_row, top_column = np.mean(np.nonzero(image[..., 1] > 0.5), axis=1)
     assert left_column < 8 and abs(left_row - 15.5) < 1
     assert top_row < 8 and abs(top_column - 15.5) < 1
 
 
-def test_diffuse_colours_per_triangle(in_blender, view):
+def test_diffuse_colours_per_triangle(in_process, view):
     scene, fov = still_life(), 40.0
     centre = settings(samples=1, denoise=False, filter_width=0.01)
-    color = in_blender(render_passes, scene, one(view), one(fov), 48, 48, centre, ["diffuse_color"])["diffuse_color"][0]
+    color = in_process(render_passes, scene, one(view), one(fov), 48, 48, centre, ["diffuse_color"])["diffuse_color"][0]
     gbuffer = first_hit(scene, view, fov, 48, 48)
     np.testing.assert_allclose(color[gbuffer.hit], scene.material[gbuffer.triangle[gbuffer.hit], :3], atol=1e-3)
 
 
-def test_an_object_may_glow_in_part(in_blender):
+def test_an_object_may_glow_in_part(in_process):
     """Only the emissive triangles of an object light the scene and hide from the camera."""
     walls = box(4.0)
     glowing = walls.mean(1)[:, 2] > 1.9  # the ceiling
     rows = np.where(glowing[:, None], material(emission=1.0), material(diffuse=0.5))
     scene = pack((walls, rows))
     poses = np.stack([look_at((0, 0, 0), (0, 0, 1), (0, 1, 0)), look_at((0, 0, 0), (0, 0, -1), (0, 1, 0))])
-    up, down = in_blender(render, scene, poses, np.array([40, 40], np.float32), 8, 8, settings(**RAW))
+    up, down = in_process(render, scene, poses, np.array([40, 40], np.float32), 8, 8, settings(**RAW))
     assert not up.any() and (down > 0.05).all()
 
 
-def test_same_seed_same_image_other_settings_another(in_blender, view):
+def test_same_seed_same_image_other_settings_another(in_process, view):
     def image(**changes):
-        return in_blender(render, still_life(), one(view), one(40), 32, 32, settings(**changes))
+        return in_process(render, still_life(), one(view), one(40), 32, 32, settings(**changes))
 
     base = image()
     np.testing.assert_array_equal(base, image())
@@ -177,9 +177,9 @@ def test_same_seed_same_image_other_settings_another(in_blender, view):
         assert (image(**changes) != base).any(), f"{changes} is not respected"
 
 
-def test_denoising_comes_nearer_to_the_truth(in_blender, view):
+def test_denoising_comes_nearer_to_the_truth(in_process, view):
     def image(**changes):
-        return in_blender(render, still_life(), one(view), one(40), 48, 48, settings(**changes))
+        return in_process(render, still_life(), one(view), one(40), 48, 48, settings(**changes))
 
     truth = image(samples=1024, denoise=False)
     noisy = relative_error(image(samples=8, denoise=False), truth)
@@ -187,23 +187,23 @@ def test_denoising_comes_nearer_to_the_truth(in_blender, view):
     assert relative_error(image(samples=64, denoise=False), truth) < 0.5 * noisy
 
 
-def test_images_are_finite_float32_of_the_requested_size(in_blender, view):
-    image = in_blender(render, still_life(), one(view), one(40), 24, 32, settings())
+def test_images_are_finite_float32_of_the_requested_size(in_process, view):
+    image = in_process(render, still_life(), one(view), one(40), 24, 32, settings())
     assert image.shape == (1, 24, 32, 3) and image.dtype == np.float32 and np.isfinite(image).all()
 
 
-def test_broken_geometry_is_refused_by_name(in_blender, view):
+def test_broken_geometry_is_refused_by_name(in_process, view):
     degenerate, not_finite = still_life(), still_life()
     degenerate.positions[3, 2] = degenerate.positions[3, 1]
     not_finite.positions[3, 0, 0] = np.nan
     for scene in (degenerate, not_finite):
         with pytest.raises(SceneError, match="object_1.*repair"):
-            in_blender(render, scene, one(view), one(40), 8, 8, settings())
+            in_process(render, scene, one(view), one(40), 8, 8, settings())
 
 
-def test_an_unknown_pass_is_named(in_blender, view):
+def test_an_unknown_pass_is_named(in_process, view):
     with pytest.raises(UserError, match="'beauty'.*combined"):
-        in_blender(render_passes, still_life(), one(view), one(40), 8, 8, settings(), ["beauty"])
+        in_process(render_passes, still_life(), one(view), one(40), 8, 8, settings(), ["beauty"])
 
 
 def on_a_full_disk(*args):
@@ -218,9 +218,9 @@ def on_a_full_disk(*args):
         signal.signal(signal.SIGXFSZ, handler)
 
 
-def test_a_full_disk_is_one_clear_error(in_blender, view):
+def test_a_full_disk_is_one_clear_error(in_process, view):
     with pytest.raises(UserError, match="could not write .* free some space"):
-        in_blender(on_a_full_disk, still_life(), one(view), one(40), 64, 64, settings())
+        in_process(on_a_full_disk, still_life(), one(view), one(40), 64, 64, settings())
 
 
 def leftovers(*args) -> dict:
@@ -243,6 +243,6 @@ def leftovers(*args) -> dict:
     return {"printed": printed, "more": len(bpy.data.objects) - objects, "folder": os.path.exists(bpy.app.tempdir)}
 
 
-def test_rendering_leaves_nothing_behind(in_blender, view):
-    left = in_blender(leftovers, still_life(), one(view), one(40), 8, 8, settings())
+def test_rendering_leaves_nothing_behind(in_process, view):
+    left = in_process(leftovers, still_life(), one(view), one(40), 8, 8, settings())
     assert left == {"printed": b"audible", "more": 0, "folder": False}
