@@ -50,7 +50,7 @@ def _bar(console: Console) -> Iterator[Callable[[int, int], None]]:
 
 def _table(rows: list[Row]) -> Table:
     """What differs between the rows in columns; what does not, above them."""
-    same = {name: value for name, value in rows[0].items() if all(row[name] == value for row in rows)}
+    same = {name: value for name, value in rows[0].items() if len(rows) > 1 and all(r[name] == value for r in rows)}
     names = [name for name in rows[0] if name not in same]
     table = Table(*(Column(name, no_wrap=True) for name in names), box=None, pad_edge=False, title_justify="left")
     table.title = ", ".join(f"{name} {_shown(value)}" for name, value in same.items())

@@ -12,7 +12,7 @@ torch.set_num_threads(1)  # two threads on busy cores stall each other
 
 @pytest.fixture(scope="session")
 def in_process():
-    """`in_process(function, *args)` runs an importable function in a process without type checks, where bpy may live."""
+    """`in_process(function, *args)` runs it in a process of its own, without type checks, where bpy may live."""
     with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as worker:
         yield lambda function, *args: worker.submit(function, *args).result(timeout=300)
 

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import multiprocessing
-import resource
 import signal
-import sys
 import time
 import traceback
 from collections.abc import Callable
@@ -13,7 +11,6 @@ from concurrent.futures import ProcessPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
-from pathlib import Path
 from typing import TypeVar
 
 import psutil
@@ -21,6 +18,7 @@ import torch
 
 from rfpp.benchmark.cost_case import Case
 from rfpp.benchmark.cost_tasks import Setting, Task, Untrained
+from rfpp.benchmark.memory import peak_resident
 
 Result = TypeVar("Result")
 
@@ -195,15 +193,5 @@ class _Memory:
             torch.cuda.reset_peak_memory_stats()
 
     def peak(self) -> int:
-        peak = torch.cuda.max_memory_allocated() if self._on_gpu else _peak_resident()
+        peak = torch.cuda.max_memory_allocated() if self._on_gpu else peak_resident()
         return peak - self._before
-
-
-def _peak_resident() -> int:
-    """Bytes. Not getrusage where Linux knows better: its figure may be that of the process which started this one."""
-    status = Path("/proc/self/status")
-    if status.exists():
-        [line] = (line for line in status.read_text().splitlines() if line.startswith("VmHWM:"))
-        return 1024 * int(line.split()[1])
-    unit = 1 if sys.platform == "darwin" else 1024
-    return unit * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss

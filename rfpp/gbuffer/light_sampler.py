@@ -16,18 +16,19 @@ class LightSampler:
 
     Args:
         triangles: the whole scene, in world space.
+        caster: over all of them, if there is one already; emitters cast shadows too.
 
     Attributes:
-        caster: over all triangles; emitters cast shadows too.
+        caster: see above.
         emitters: [E] the emitting triangles' indices in the scene.
         corners, normal, radiance: [E, 3, 3], [E, 3], [E, 3] of them.
         light: [E] which light each belongs to.
         lights: how many lights there are.
     """
 
-    def __init__(self, triangles: SceneTriangles):
+    def __init__(self, triangles: SceneTriangles, caster: RayCaster | None = None):
         self.triangles = triangles
-        self.caster = RayCaster(triangles.positions)
+        self.caster = caster or RayCaster(triangles.positions)
         self.emitters = np.flatnonzero(triangles.is_emissive)
         self.corners = triangles.positions[self.emitters].astype(np.float64)
         self.radiance = triangles.material[self.emitters][:, EMISSION].astype(np.float64)

@@ -18,6 +18,8 @@ from rfpp.scene.triangles import SceneTriangles
 
 #: What Embree keeps of a triangle, about.
 _BYTES_PER_TRIANGLE = 200
+#: What a LightSampler keeps of one besides.
+_SAMPLER_BYTES_PER_TRIANGLE = 8
 #: Of a GBuffer: triangle, normal and depth.
 _BYTES_PER_PIXEL = 20
 
@@ -79,7 +81,12 @@ class GBufferSource:
 
     def _lights(self, triangles: SceneTriangles, geometry: bytes) -> LightSampler:
         key = ("lights", geometry, _digest(triangles.material))  # all materials: it knows what surfaces reflect
-        return self._kept.recall(key, _BYTES_PER_TRIANGLE * len(triangles), lambda: LightSampler(triangles))
+        size = _SAMPLER_BYTES_PER_TRIANGLE * len(triangles)
+        return self._kept.recall(key, size, lambda: LightSampler(triangles, self._shadow_caster(triangles, geometry)))
+
+    def _shadow_caster(self, triangles: SceneTriangles, geometry: bytes) -> RayCaster:
+        size = _BYTES_PER_TRIANGLE * len(triangles)
+        return self._kept.recall(("shadows", geometry), size, lambda: RayCaster(triangles.positions))
 
 
 def _digest(*arrays: np.ndarray) -> bytes:

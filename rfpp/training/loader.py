@@ -10,14 +10,20 @@ from torch.utils.data import DataLoader, Dataset
 
 from rfpp.batch import RaggedBatch, SceneViews
 from rfpp.errors import ShardError, UserError
+from rfpp.training.stopping import unheard_by_children
 
 
 class SceneLoader(DataLoader):
-    """A DataLoader whose processes' errors arrive as they were raised: a line each, not a traceback as the message."""
+    """A DataLoader whose processes outlive what asks training to stop, until training has.
+
+    Their errors arrive as they were raised: a line each, not a traceback as the message.
+    """
 
     def __iter__(self) -> Iterator[Any]:
+        with unheard_by_children():
+            batches = super().__iter__()
         try:
-            yield from super().__iter__()
+            yield from batches
         except UserError as error:
             _, in_worker, traceback = str(error).partition("Original Traceback")
             if not in_worker:

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import atexit
 import os
 import signal
 import subprocess
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from multiprocessing import active_children, resource_tracker
 from pathlib import Path
 from types import FrameType
 from typing import NoReturn
@@ -31,6 +35,33 @@ class StoppedError(UserError):
     def __init__(self, message: str, received: signal.Signals):
         super().__init__(message)
         self.signal = received
+
+
+@contextmanager
+def unheard_by_children() -> Iterator[None]:
+    """Daemonic processes started meanwhile never get these signals, which Slurm sends to all of a job's processes.
+
+    A loader process would die of them, and training with it, before the ranks have agreed and saved. When this
+    process ends, it kills those that are left.
+    """
+    stop = {COME_BACK, END}
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, stop)
+    try:
+        resource_tracker.ensure_running()  # multiprocessing's own child; when it starts, it unblocks SIGTERM
+        signal.pthread_sigmask(signal.SIG_BLOCK, stop)
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        # to run before what multiprocessing and PyTorch do at the end, which is SIGTERM, and to wait
+        atexit.unregister(_kill_children)
+        atexit.register(_kill_children)
+
+
+def _kill_children() -> None:
+    signal.signal(signal.SIGCHLD, signal.SIG_DFL)  # PyTorch's handler raises for loader processes that are killed
+    for child in active_children():
+        if child.daemon:
+            child.kill()
 
 
 class StopSignals:

@@ -22,7 +22,7 @@ def stacked(source: GBufferSource, of, resolution: int = 16) -> np.ndarray:
 def cast(monkeypatch) -> list[str]:
     """What was cast or built, as it happens."""
     log: list[str] = []
-    for name in ("first_hit", "camera_caster", "LightSampler"):
+    for name in ("first_hit", "camera_caster", "LightSampler", "RayCaster"):
         real = getattr(rfpp.inference.gbuffers, name)
         monkeypatch.setattr(
             rfpp.inference.gbuffers, name, lambda *args, name=name, real=real: log.append(name) or real(*args)
@@ -38,7 +38,7 @@ def test_other_colours_and_powers_leave_first_hits_as_they_are(channels, edit, c
     assert cast.count("first_hit") == 3
     cast.clear()
     after = stacked(source, edit(scene()))
-    assert not {"first_hit", "camera_caster"} & set(cast)
+    assert not {"first_hit", "camera_caster", "RayCaster"} & set(cast)
     np.testing.assert_array_equal(after, stacked(GBufferSource(channels), edit(scene())))
     assert np.array_equal(before, after) == (channels == PAPER and edit is dimmed)
 

@@ -12,7 +12,7 @@ from training_runs import SETTINGS, differing, train, wait_for_step
 from rfpp.training.checkpoints import step_file
 
 REPOSITORY = Path(__file__).resolve().parents[2]
-RUN = ("steps=12", "trainer.val_check_interval=5", "+callbacks.skewed._target_=skewed.Skewed")
+RUN = ("steps=12", "trainer.val_check_interval=5", "datamodule.workers=1", "+callbacks.skewed._target_=skewed.Skewed")
 
 
 def submitted(slurm, folder: Path) -> tuple[str, Path, Path]:

@@ -18,4 +18,4 @@ def test_fused_attention_is_counted_as_what_it_computes(experiment):
     counted = training_flops(net, batch)
     assert counted == training_flops(net.to("meta"), batch.to("meta"))
     width, triangles = 54, 1001
-    assert counted > 3 * 4 * triangles**2 * width  # of one layer of attention between the triangles of a scene or object
+    assert counted > 3 * 4 * triangles**2 * width  # one layer of attention between the triangles of an object

@@ -1,7 +1,10 @@
 """Real loaders: the same batches for any number of ranks and workers, from any step on; damage stops or is counted."""
 
 import json
+import os
 import shutil
+import signal
+from multiprocessing import active_children
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -187,6 +190,18 @@ def test_a_missing_and_a_truncated_shard_are_left_out_too(root, tmp_path, uninte
         keys = [key for batch in global_batches(bad, skip_corrupt=True) for key, _ in batch]
     gone = {f"train-00000{i}" for i in range(4)}
     assert keys == [key for batch in uninterrupted for key, _ in batch if key not in gone]
+
+
+@pytest.mark.parametrize("name", ["SIGUSR1", "SIGTERM"])
+def test_loader_processes_outlive_what_asks_training_to_stop(root, uninterrupted, name):
+    """Slurm signals every process of a job; the ranks need their data until they have agreed and saved."""
+    before = set(active_children())
+    loader = iter(datamodule(root, workers=1).train_dataloader())
+    keys = [next(loader).keys]
+    [worker] = set(active_children()) - before
+    os.kill(worker.pid, signal.Signals[name])
+    keys += [batch.keys for batch in loader]
+    assert keys == [tuple(key for key, _ in batch) for batch in uninterrupted]
 
 
 def test_a_batch_with_nothing_left_is_an_error(root, tmp_path):
