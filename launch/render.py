@@ -36,7 +36,7 @@ def main(cfg: DictConfig) -> list[Path]:
     console = Console(highlight=False, soft_wrap=True)
     scene = with_cameras(pack(Scene.load(required(cfg, "scene"))), cfg.cameras)
     checkpoint = checkpoint_file(required(cfg, "checkpoint"), cfg.registry.tracking_uri, Path(cfg.registry.folder))
-    renderer = Renderer.load(checkpoint, cfg.device)
+    renderer = Renderer.load(checkpoint, cfg.device, cfg.precision)
     resolution = OmegaConf.to_object(cfg.resolution) if OmegaConf.is_list(cfg.resolution) else cfg.resolution
     height, width = renderer.image_size(tuple(resolution) if isinstance(resolution, list) else resolution)
 

@@ -16,6 +16,7 @@ from rfpp.errors import SceneError, UserError
 from rfpp.inference.checkpoint import CheckpointInfo, load_network
 from rfpp.inference.gbuffers import GBufferSource
 from rfpp.inference.object_encoder import ObjectEncoder
+from rfpp.inference.precision import matrix_dtype
 from rfpp.model.renderformer_pp import EncodedScenes
 from rfpp.model.tokenizer import ObjectTokens
 from rfpp.radiance import log_decode
@@ -36,26 +37,39 @@ class Renderer:
         network: RaggedBatch → Rendering, in evaluation mode; its weights must not change from here on.
         info: what its checkpoint says about it.
         device: where to run.
+        dtype: of matrix products.
     """
 
-    def __init__(self, network: nn.Module, info: CheckpointInfo, device: torch.device | str = "cpu"):
+    def __init__(
+        self,
+        network: nn.Module,
+        info: CheckpointInfo,
+        device: torch.device | str = "cpu",
+        dtype: torch.dtype = torch.float32,
+    ):
         self.network, self.info, self.device = network.to(device).eval(), info, torch.device(device)
+        self.dtype = dtype
         #: What encodes object by object; None for a network whose tokens are triangles.
         self.objects = ObjectEncoder(network, self.device) if isinstance(network.tokenizer, ObjectTokens) else None
         self._gbuffers = GBufferSource(network.gbuffer_channels)
 
     @classmethod
-    def load(cls, checkpoint: Path | str, device: torch.device | str | None = None) -> Renderer:
+    def load(
+        cls, checkpoint: Path | str, device: torch.device | str | None = None, precision: str = "auto"
+    ) -> Renderer:
         """Load a checkpoint, onto a GPU if there is one.
 
         Args:
             checkpoint: see `rfpp.inference.checkpoint.load_network`.
+            precision: see `rfpp.inference.precision.matrix_dtype`.
 
         Raises:
             CheckpointError: it cannot be read, or is not of a network we know.
+            UserError: no such precision.
         """
-        network, info = load_network(checkpoint)
-        return cls(network, info, device or ("cuda" if torch.cuda.is_available() else "cpu"))
+        device = torch.device(device or ("cuda" if torch.cuda.is_available() else "cpu"))
+        dtype = matrix_dtype(precision, device)
+        return cls(*load_network(checkpoint), device, dtype)
 
     def render(
         self,
@@ -110,9 +124,13 @@ class Renderer:
                 one = slice(view, view + 1)
                 yield self._decode(encoded, batch.c2w[:, one], batch.fov[:, one], gbuffer)
 
+    def _autocast(self) -> torch.autocast:
+        return torch.autocast(self.device.type, self.dtype, enabled=self.dtype != torch.float32)
+
     @torch.inference_mode()
     def _encode(self, batch: RaggedBatch) -> EncodedScenes:
-        return self.network.encode(batch.to(self.device)) if self.objects is None else self.objects.encode(batch)
+        with self._autocast():
+            return self.network.encode(batch.to(self.device)) if self.objects is None else self.objects.encode(batch)
 
     @torch.inference_mode()
     def _decode(
@@ -122,8 +140,9 @@ class Renderer:
         fov: Float[Tensor, "1 1"],
         gbuffer: Float[np.ndarray, "c h w"],
     ) -> Float[np.ndarray, "h w 3"]:
-        camera = c2w.to(self.device), fov.to(self.device)
-        log_radiance = self.network.view(encoded, *camera, torch.from_numpy(gbuffer[None, None]).to(self.device))
+        camera, seen = (c2w.to(self.device), fov.to(self.device)), torch.from_numpy(gbuffer[None, None])
+        with self._autocast():
+            log_radiance = self.network.view(encoded, *camera, seen.to(self.device))
         return log_decode(log_radiance)[0, 0].permute(1, 2, 0).clamp_min(0).cpu().numpy()
 
     def image_size(self, resolution: int | tuple[int, int] | None) -> tuple[int, int]:

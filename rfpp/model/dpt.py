@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import torch
 import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
@@ -60,8 +61,9 @@ class DPTHead(nn.Module):
         x = self.fuse[2](x, levels[2], levels[1].shape[-2:])
         x = self.fuse[1](x, levels[1], levels[0].shape[-2:])
         x = self.fuse[0](x, levels[0], (height, width))
-        x = self.out(_resize(self.smooth(x), (height, width)))
-        return x.float()
+        x = self.out[:-1](_resize(self.smooth(x), (height, width)))
+        with torch.autocast(x.device.type, enabled=False):  # bfloat16's eight bits are too few for an image
+            return self.out[-1](x.float())
 
 
 class HalvingConv(nn.Conv2d):

@@ -80,7 +80,7 @@ def test_every_stage_agrees(tmp_path, config, scene):
 
 
 def test_the_radiance_agrees(tmp_path, config, scene):
-    image = Renderer.load(write(tmp_path / "released", config), "cpu").render(scene, SIZE)[0]
+    image = Renderer.load(write(tmp_path / "released", config), "cpu", "fp32").render(scene, SIZE)[0]
     expected = slowly(config, scene, patches(scene)).clip(0)
     assert expected.std() > 0.05 * expected.mean()
     assert np.abs(image - expected).max() < 1e-4 * expected.max()
@@ -104,7 +104,7 @@ def test_textured_triangles_take_the_whole_patch(tmp_path, scene):
     texture[:, :3] *= shades
     loaded = Scene.load(write_h5(tmp_path / "textured.h5", scene, texture))
     assert loaded.texture is not None
-    renderer = Renderer.load(write(tmp_path / "released", CONFIG), "cpu")
+    renderer = Renderer.load(write(tmp_path / "released", CONFIG), "cpu", "fp32")
     image, expected = renderer.render(loaded, SIZE)[0], slowly(CONFIG, scene, texture).clip(0)
     assert np.abs(image - expected).max() < 1e-4 * expected.max()
     plain = renderer.render(replace(loaded, texture=None), SIZE)[0]
@@ -114,7 +114,7 @@ def test_textured_triangles_take_the_whole_patch(tmp_path, scene):
 def test_a_scene_renders_the_same_from_either_format(tmp_path, scene):
     loaded = Scene.load(write_h5(tmp_path / "plain.h5", scene, patches(scene)))
     assert loaded.texture is None
-    renderer = Renderer.load(write(tmp_path / "released", CONFIG), "cpu")
+    renderer = Renderer.load(write(tmp_path / "released", CONFIG), "cpu", "fp32")
     image, expected = renderer.render(loaded, 64), renderer.render(scene, 64)
     assert np.abs(image - expected).max() < 1e-4 * expected.max()
 
@@ -152,7 +152,7 @@ def test_training_starts_from_the_released_weights(tmp_path, scene):
     released = write(tmp_path / "released", CONFIG)
     load_initial_weights(ours, released)
     image = Renderer(ours, checkpoint_info(resolution=(64, 64))).render(scene)
-    expected = Renderer.load(released, "cpu").render(scene, 64)
+    expected = Renderer.load(released, "cpu", "fp32").render(scene, 64)
     assert np.abs(image - expected).max() < 1e-4 * expected.max()
     with pytest.raises(CheckpointError, match="belongs to another model"):
         load_initial_weights(network("model=renderformer"), released)
