@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import lightning as L
+import torch
 from torch.utils.data import DataLoader
 
 from rfpp.batch import RaggedBatch
@@ -156,6 +157,8 @@ class SceneDataModule(L.LightningDataModule):
             dataset,
             collate_fn=collate,
             num_workers=self.workers,
+            # not training's generator: how often loaders are begun depends on how often the run was
+            generator=torch.Generator().manual_seed(self.seed),
             persistent_workers=self.workers > 0,
             multiprocessing_context="spawn" if self.workers else None,
             pin_memory=self.trainer.strategy.root_device.type == "cuda",

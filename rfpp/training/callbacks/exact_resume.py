@@ -43,7 +43,7 @@ class ExactResume(L.Callback):
             counts.update(ready=batches, started=batches, processed=batches, completed=batches - begun)
 
     def on_train_batch_start(self, trainer: L.Trainer, module: L.LightningModule, batch: RaggedBatch, _: int) -> None:
-        # not earlier: a loader draws random numbers when its first batch is asked for
+        # not earlier: what is set up before the first batch may draw random numbers
         if self._states is None:
             return
         states, self._states = self._states, None
