@@ -42,7 +42,7 @@ def test_a_preempted_and_a_killed_job_are_requeued_and_go_on(slurm, tmp_path):
     assert states == ["COMPLETED"], log
     stops = [line for line in log.splitlines() if "stopped by" in line]
     assert len(stops) == 1
-    assert stops[0].endswith(f"of 12: job {job} is requeued")
+    assert f"of 12: job {job} is requeued" in stops[0]
     assert "".join(log.splitlines()).count(f"Goes on from {run_dir}/checkpoints/") == 2, log
     ended = torch.load(run_dir / "checkpoints" / "last.ckpt", weights_only=True)
     assert ended["global_step"] == 12
