@@ -63,7 +63,7 @@ class DPTHead(nn.Module):
         x = self.fuse[1](x, levels[1], levels[0].shape[-2:])
         x = self.fuse[0](x, levels[0], (height, width))
         x = self.out[:-1](_resize(self.smooth(x), (height, width)))
-        # bfloat16's eight bits are too few for an image; where operations are counted by shape alone there is no autocast
+        # bfloat16's eight bits are too few for an image; there is no autocast where shapes alone are computed
         with nullcontext() if x.is_meta else torch.autocast(x.device.type, enabled=False):
             return self.out[-1](x.float())
 
