@@ -36,7 +36,7 @@ def measure(
         device: where to render.
         progress: called with (scenes rendered, scenes in all).
     """
-    network, _ = load_network(Path(checkpoint))
+    network, info = load_network(Path(checkpoint))
     network = network.to(device).eval()
     stored = AllViews(ShardSplit(root, split), network.gbuffer_channels)
     count = min(scenes, len(stored))
@@ -55,9 +55,10 @@ def measure(
                 max(total[2], float(difference.max())),
             ]
         progress(index + 1, count)
+    trained = {"network": info.method, "dataset": info.dataset, "steps": info.steps}
     names = ("log_l1", "difference", "largest_difference")
     return [
-        {"precision": precision, **dict(zip(names, values, strict=True)), "images": count * batch.num_views}
+        {"precision": precision, **dict(zip(names, values, strict=True)), "images": count * batch.num_views, **trained}
         for precision, values in sums.items()
     ]
 
