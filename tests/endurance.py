@@ -22,7 +22,7 @@ from pathlib import Path
 
 import torch
 from mlflow import MlflowClient
-from slurm_cluster import SlurmCluster
+from slurm_cluster import UNDER_WAY, SlurmCluster
 from training_runs import differing
 
 REPOSITORY = Path(__file__).resolve().parents[1]
@@ -75,7 +75,11 @@ def kill_often(cluster: SlurmCluster, job: str, times: int, minutes: tuple[float
     order = draw.sample(list(kinds), len(kinds))
     for i in range(times):
         time.sleep(60 * draw.uniform(*minutes))
-        while cluster.states(job) != ["RUNNING"] or len(cluster.tasks(job)) < 2:
+        while (states := cluster.states(job)) != ["RUNNING"] or len(cluster.tasks(job)) < 2:
+            if not set(states) & UNDER_WAY:
+                raise SystemExit(
+                    f"job {job} is {states} after {i} of {times} kills: see its log, beside its run folder"
+                )
             time.sleep(1)
         kinds[order[i % len(order)]]()
         print(f"{time.strftime('%H:%M:%S')} kill {i + 1}: {order[i % len(order)]}", flush=True)

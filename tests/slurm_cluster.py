@@ -34,6 +34,7 @@ ReturnToService=2
 MailProg=/bin/true
 SchedulerParameters=sched_interval=2,bf_interval=2,requeue_delay=2,batch_sched_delay=0
 StateSaveLocation={folder}/state
+MinJobAge=86400
 SlurmctldPidFile={folder}/slurmctld.pid
 SlurmctldLogFile={folder}/slurmctld.log
 SlurmdSpoolDir={folder}/spool-%n
@@ -42,6 +43,9 @@ SlurmdLogFile={folder}/slurmd-%n.log
 {nodes}
 PartitionName=debug Nodes=ALL Default=YES State=UP
 """
+
+#: States of a job that has not ended.
+UNDER_WAY = {"PENDING", "RUNNING", "COMPLETING", "CONFIGURING", "SUSPENDED"}
 
 
 @dataclass
@@ -119,7 +123,7 @@ class SlurmCluster:
         states: list[str] = []
         while time.monotonic() < deadline:
             states = self.states(job)
-            if states and not set(states) & {"PENDING", "RUNNING", "COMPLETING", "CONFIGURING", "SUSPENDED"}:
+            if states and not set(states) & UNDER_WAY:
                 return states
             time.sleep(0.3)
         raise TimeoutError(f"job {job} is {states} after {timeout} s; see {self.folder}/*.log")

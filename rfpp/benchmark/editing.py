@@ -65,12 +65,7 @@ def measure(
         rows.append(
             {
                 "edit": name,
-                "triangles": triangles,
-                "objects": objects,
-                "resolution": resolution,
-                "parameters_M": sum(p.numel() for p in network.parameters()) / 1e6,
-                "device": device,
-                "threads": torch.get_num_threads(),
+                **setting_columns(network, triangles, objects, resolution, device),
                 "objects_encoded": encoded,
                 "anew_s": median(anew),
                 "remembered_s": median(remembered),
@@ -79,6 +74,18 @@ def measure(
             }
         )
     return rows
+
+
+def setting_columns(network: RenderFormerPP, triangles: int, objects: int, resolution: int, device: str) -> Row:
+    """What was rendered, and on what."""
+    return {
+        "triangles": triangles,
+        "objects": objects,
+        "resolution": resolution,
+        "parameters_M": sum(p.numel() for p in network.parameters()) / 1e6,
+        "device": device,
+        "threads": torch.get_num_threads(),
+    }
 
 
 def renderer(network: RenderFormerPP, resolution: int, device: str) -> Renderer:

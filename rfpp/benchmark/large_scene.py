@@ -6,9 +6,8 @@ from collections.abc import Callable
 from functools import partial
 
 import numpy as np
-import torch
 
-from rfpp.benchmark.editing import moved, renderer, timed
+from rfpp.benchmark.editing import moved, renderer, setting_columns, timed
 from rfpp.benchmark.memory import peak_resident
 from rfpp.benchmark.spheres import spheres
 from rfpp.model.renderformer_pp import RenderFormerPP
@@ -53,12 +52,7 @@ def measure(
         rows.append(
             {
                 "step": name,
-                "triangles": triangles,
-                "objects": objects,
-                "resolution": resolution,
-                "parameters_M": sum(p.numel() for p in network.parameters()) / 1e6,
-                "device": device,
-                "threads": torch.get_num_threads(),
+                **setting_columns(network, triangles, objects, resolution, device),
                 "seconds": seconds,
                 "peak_GB": peak_resident() / 1e9,
             }

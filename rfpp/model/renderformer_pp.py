@@ -90,14 +90,12 @@ class RenderFormerPP(nn.Module):
         transported = self.transport(tokens)
         return EncodedScenes(transported.tokens, exposure, transported.states)
 
-    def bounces(
-        self, batch: RaggedBatch, count: int, tokenized: tuple[Float[Tensor, " b"], SceneTokens] | None = None
-    ) -> tuple[list[Float[Tensor, "b v 3 h w"]], Bounces]:
+    def bounces(self, batch: RaggedBatch, count: int) -> tuple[list[Float[Tensor, "b v 3 h w"]], Bounces]:
         """log10(1 + radiance) decoded from ⁽ᵏ⁾F_s + F_e after k = 0 … `count` applications, and these features.
 
-        For a network with an operator, see `iterations`; `tokenized`: what `tokenize` makes, if it is there already.
+        For a network with an operator, see `iterations`.
         """
-        exposure, tokens = tokenized or self.tokenize(batch)
+        exposure, tokens = self.tokenize(batch)
         bounces = self.transport.bounces(tokens, count)
         encoded = (
             EncodedScenes(replace(tokens, features=s + bounces.emitted), exposure, ()) for s in bounces.scattered
