@@ -50,8 +50,7 @@ class Case:
         triangles = _triangles(sizes, rng)
         eyes = 1.8 * _directions(rng, self.views)
         cameras = [Camera(position=tuple(eye), look_at=(0, 0, 0), up=(0.1, 0.2, 1), fov=40) for eye in eyes.tolist()]
-        shape = (self.views, 3 + sum(CHANNELS[name] for name in channels), self.resolution, self.resolution)
-        image, gbuffer = np.split(rng.random(shape, np.float32), [3], axis=1)
+        image, gbuffer = noise(channels, self.views, self.resolution, rng)
         return SceneViews(
             key="invented",
             triangles=triangles,
@@ -60,6 +59,15 @@ class Case:
             gbuffer=gbuffer,
             image=image,
         )
+
+
+def noise(
+    channels: Sequence[str], views: int, resolution: int, rng: np.random.Generator
+) -> tuple[Float[np.ndarray, "v 3 h w"], Float[np.ndarray, "v c h w"]]:
+    """What stands for images and G-buffers where only their size matters."""
+    shape = (views, 3 + sum(CHANNELS[name] for name in channels), resolution, resolution)
+    image, gbuffer = np.split(rng.random(shape, np.float32), [3], axis=1)
+    return image, gbuffer
 
 
 def object_sizes(triangles: int, objects: int, rng: np.random.Generator) -> Int[np.ndarray, " objects"]:

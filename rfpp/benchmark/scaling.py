@@ -13,9 +13,9 @@ from hydra.utils import instantiate
 from scipy.optimize import nnls
 
 from rfpp.batch import RaggedBatch, SceneViews
+from rfpp.benchmark.cost_case import noise
 from rfpp.benchmark.ranks import Timings, timed_ranks
 from rfpp.benchmark.step_time import Cluster, Work, step_time
-from rfpp.gbuffer.first_hit import CHANNELS
 from rfpp.losses.rendering import RenderingLoss
 from rfpp.model.renderformer_pp import RenderFormerPP
 from rfpp.scene.packed import pack
@@ -68,14 +68,13 @@ class Training:
 
     def scene_views(self) -> list[SceneViews]:
         """The family's first scenes, with noise for images and G-buffers."""
-        channels = sum(CHANNELS[name] for name in self.network().gbuffer_channels)
+        channels = self.network().gbuffer_channels
         return [self._noisy(np.random.default_rng(i), channels) for i in range(self.sample)]
 
-    def _noisy(self, rng: np.random.Generator, channels: int) -> SceneViews:
+    def _noisy(self, rng: np.random.Generator, channels: Sequence[str]) -> SceneViews:
         scene = pack(self.family.sample(*rng.spawn(2), held_out=False))
         scene = scene.views([i % len(scene.fov) for i in range(self.views)])
-        shape = (self.views, channels + 3, self.resolution, self.resolution)
-        gbuffer, image = np.split(rng.random(shape, dtype=np.float32), [channels], axis=1)
+        image, gbuffer = noise(channels, self.views, self.resolution, rng)
         return SceneViews("", scene.triangles, scene.c2w, scene.fov, gbuffer, image)
 
     def work(self, scenes: Sequence[SceneViews]) -> Work:
