@@ -24,20 +24,28 @@ from rfpp.training.tracking import code_version
 
 @entry_point("benchmark")
 def main(cfg: DictConfig) -> list[Row]:
-    """Run the benchmark `cfg.benchmark`; returns its rows."""
+    """Run the benchmark `cfg.benchmark`; returns its rows. `cfg.output` has them as soon as they are measured."""
     console = Console()
     commit = code_version() or "unknown"  # of what runs: others may commit meanwhile
     measure = instantiate(cfg.benchmark, _convert_="all")
+    rows: list[Row] = []
     with _bar(console) as show:
-        rows = measure(progress=show)
-    table = _table(rows)
+        try:
+            for row in measure(progress=show):
+                where = {"commit": commit, "hardware": hardware(torch.device(row.get("device", "cpu")))}
+                rows.append({**row, **where, **row})  # rows of an earlier run know theirs
+                if cfg.output is not None:
+                    write_rows(Path(cfg.output), rows)
+        except KeyboardInterrupt:
+            if not rows:
+                raise
+            console.print("interrupted: these rows were finished")
+    table = _table([{name: row[name] for name in row if name not in where} for row in rows])
     unbounded = console.options.update(max_width=1000)
     console.width = max(console.width, console.measure(table, options=unbounded).maximum)  # break lines, not words
     console.print(table)
     if cfg.output is not None:
-        where = {"commit": commit, "hardware": hardware(torch.device(rows[0].get("device", "cpu")))}
-        path = write_rows(Path(cfg.output), [{**row, **where} for row in rows])
-        console.print(f"Written: {path}", highlight=False, soft_wrap=True)
+        console.print(f"Written: {cfg.output}", highlight=False, soft_wrap=True)
     return rows
 
 

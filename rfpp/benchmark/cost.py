@@ -2,55 +2,20 @@
 
 from __future__ import annotations
 
-import time
-import warnings
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack
-from dataclasses import dataclass, field, replace
-from statistics import median
-from typing import Any
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
 
 import torch
 
 from rfpp.benchmark.cost_case import Case
-from rfpp.benchmark.cost_process import GB, Limits, MeasuringProcess, NotMeasuredError, Turn, in_fresh_process
+from rfpp.benchmark.cost_process import Limits, in_fresh_process
+from rfpp.benchmark.cost_rows import Row, new_rows, read_rows, rows_of
 from rfpp.benchmark.cost_tasks import Setting, Task, Untrained
+from rfpp.benchmark.cost_turns import Rounds, take_turns
 from rfpp.errors import UserError
 from rfpp.training.flops import matrix_product_rate
-
-Row = dict[str, str | int | float | None]
-
-OK = "ok"
-
-
-@dataclass(frozen=True)
-class Rounds:
-    """How often each measurement is taken.
-
-    Attributes:
-        count: rounds in which the networks take turns, after a first one that chooses and loads kernels. That one
-            counts only where there was no other.
-        enough_seconds: a network whose turns took so long together has no further one.
-    """
-
-    count: int
-    enough_seconds: float | int
-
-
-@dataclass
-class Result:
-    """What one network did with one task in one case: its turns, or why there are none."""
-
-    turns: list[Turn] = field(default_factory=list)
-    status: str = OK
-    spent: float = 0.0
-
-    @property
-    def counted(self) -> list[Turn]:
-        return self.turns[1:] or self.turns
-
-    def seconds(self, quantity: str) -> list[float]:
-        return [turn.seconds[quantity] for turn in self.counted]
 
 
 def measure(
@@ -62,17 +27,17 @@ def measure(
     setting: Setting,
     rounds: Rounds,
     limits: Limits,
+    finished: str | None,
     progress: Callable[[int, int], None],
-) -> list[Row]:
-    """A row per case, quantity and network; a case that several sweeps share is measured once.
+) -> Iterator[Row]:
+    """A row per case, quantity and network, as soon as it is measured; a case that sweeps share is measured once.
 
     Times are medians over rounds in which all networks take turns, each in a process of its own that does nothing
     else. `speedup` and `memory_saved` (a share) compare a network with the first one. `peak_GB` is what weights, batch,
     activations and, in training, gradients and moments take at most, of which `held_GB` are there before: as CUDA's
     allocator counts, or resident memory beyond what the process held without them. `TFLOP` are counted for every case,
     also where nothing could be measured, and `of_matrix_rate` is their rate as a share of what the device does in
-    products of large matrices. What runs out of memory or time has a row whose status says so. Ctrl-C ends the
-    measuring; what is finished is returned.
+    products of large matrices. What runs out of memory or time has a row whose status says so.
 
     Args:
         networks: by any key; the first is the baseline.
@@ -81,41 +46,41 @@ def measure(
         sweeps: name → what differs from `case`, point by point.
         only: these sweeps, or None for all.
         setting, rounds, limits: how, how often, how long and how large.
+        finished: rows of an earlier run, if the file exists: they come first, and what they tell is not measured again.
         progress: called with (turns taken, turns in all).
 
     Raises:
-        UserError: no such sweep, or a case that cannot be.
+        UserError: no such sweep, a case that cannot be, or `finished` is no such table.
     """
     points = _points(case, sweeps, only)
     compared = list(networks.values())
-    cases = list(dict.fromkeys(point for _, point in points))
-    _require_divisible(compared, cases)
+    _require_divisible(compared, [at for _, at in points])
+    known = read_rows(Path(finished)) if finished and Path(finished).exists() else []
+    yield from known
     device = in_fresh_process(_device_columns, setting)
-    results: dict[tuple[Case, str], dict[str, Result]] = {}
+    wanted = [(sweep, at, task) for sweep, at in points for task in tasks.values()]
+    missing = {(at, task.quantities) for _, at, task in wanted if not rows_of(known, at, task, device)}
     turns = len(networks) * (1 + rounds.count)
-    total = turns * len(cases) * len(tasks)
+    taken, total = 0, turns * len(missing)
     progress(0, total)
-    try:
-        for at in cases:
-            for name, task in tasks.items():
-                before = turns * len(results)
-                results[at, name] = _take_turns(
-                    compared, task, at, setting, rounds, limits, lambda n, before=before: progress(before + n, total)
-                )
-    except KeyboardInterrupt:
-        if not results:
-            raise
-        warnings.warn(f"interrupted: rows of {len(results)} measurements of {len(cases) * len(tasks)}", stacklevel=2)
-    rows = []
-    for sweep, at in points:
-        for name, task in tasks.items():
-            if (at, name) in results:
-                flops = {network.name: _flops(network, task, at, setting.seed) for network in compared}
-                rows += [
-                    {"sweep": sweep, **vars(at), **row, **device}
-                    for row in _rows(task, results[at, name], flops, float(device["matrix_TFLOP_per_s"]))
-                ]
-    return rows
+    for sweep, at, task in wanted:
+        there = rows_of(known, at, task, device)
+        if there and there[0]["sweep"] == sweep:
+            continue
+        if not there:
+            shown = partial(_further, progress, taken, total)
+            results = take_turns(compared, task, at, setting, rounds, limits, shown)
+            flops = {network.name: _flops(network, task, at, setting.seed) for network in compared}
+            rate = float(device["matrix_TFLOP_per_s"])
+            there = [{"sweep": "", **vars(at), **row, **device} for row in new_rows(task, results, flops, rate)]
+            taken += turns
+        rows = [{**row, "sweep": sweep} for row in there]
+        known += rows
+        yield from rows
+
+
+def _further(progress: Callable[[int, int], None], taken: int, total: int, turns: int) -> None:
+    progress(taken + turns, total)
 
 
 def _points(
@@ -143,85 +108,6 @@ def _require_divisible(networks: Sequence[Untrained], cases: Sequence[Case]) -> 
                 raise UserError(
                     f"resolution {case.resolution} does not divide into {network.name}'s patches of {patch}"
                 )
-
-
-def _take_turns(
-    networks: Sequence[Untrained],
-    task: Task,
-    case: Case,
-    setting: Setting,
-    rounds: Rounds,
-    limits: Limits,
-    made: Callable[[int], None],
-) -> dict[str, Result]:
-    """Network → result. One that fails leaves the others the rest of the rounds."""
-    results = {network.name: Result() for network in networks}
-    with ExitStack() as stack:
-        processes = {
-            network.name: stack.enter_context(MeasuringProcess(network, task, case, setting, limits))
-            for network in networks
-        }
-        for name, process in processes.items():  # before any turn: preparing would disturb it
-            _attempt(results[name], process.ready)
-        for turn in range(1 + rounds.count):
-            for number, (name, process) in enumerate(processes.items(), start=1):
-                result = results[name]
-                if result.status == OK and result.spent <= rounds.enough_seconds:
-                    _attempt(result, process.turn)
-                made(turn * len(networks) + number)
-    return results
-
-
-def _attempt(result: Result, do: Callable[[], Turn | None]) -> None:
-    """Add a turn to a result, or the reason why there is none."""
-    begin = time.monotonic()
-    try:
-        turn = do()
-        if turn is not None:
-            result.turns.append(turn)
-            result.spent += time.monotonic() - begin
-    except NotMeasuredError as reason:
-        result.status = str(reason)
-
-
-def _rows(task: Task, results: Mapping[str, Result], flops: Mapping[str, dict[str, float]], rate: float) -> list[Row]:
-    """A row per quantity and network."""
-    rows = []
-    for quantity in task.quantities:
-        measured: dict[str, dict[str, Any]] = {}
-        for name, result in results.items():
-            whole = quantity == task.quantities[-1]
-            measured[name] = _figures(result, quantity, whole) | {"TFLOP": flops[name][quantity] / 1e12}
-        baseline = next(iter(measured.values()))
-        for name, own in measured.items():
-            seconds, peak = own["seconds"], own["peak_GB"]
-            per_second = seconds and own["TFLOP"] / seconds
-            rows.append(
-                {
-                    "quantity": quantity,
-                    "network": name,
-                    **own,
-                    "speedup": baseline["seconds"] / seconds if seconds and baseline["seconds"] else None,
-                    "memory_saved": 1 - peak / baseline["peak_GB"] if peak and baseline["peak_GB"] else None,
-                    "TFLOP_per_s": per_second,
-                    "of_matrix_rate": per_second and per_second / rate,
-                }
-            )
-    return rows
-
-
-def _figures(result: Result, quantity: str, whole: bool) -> dict[str, Any]:
-    if not result.turns:
-        return {"status": result.status, "rounds": 0} | dict.fromkeys(("seconds", "seconds_min", "peak_GB", "held_GB"))
-    seconds = result.seconds(quantity)
-    return {
-        "status": OK,  # a later turn that failed takes nothing from those before
-        "rounds": len(seconds),
-        "seconds": median(seconds),
-        "seconds_min": min(seconds),
-        "peak_GB": result.turns[-1].peak / GB if whole else None,
-        "held_GB": result.turns[-1].held / GB if whole else None,
-    }
 
 
 def _flops(network: Untrained, task: Task, case: Case, seed: int) -> dict[str, float]:

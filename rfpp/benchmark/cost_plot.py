@@ -6,7 +6,6 @@ python -m rfpp.benchmark.cost_plot data/results/cost.csv
 from __future__ import annotations
 
 import argparse
-import csv
 import io
 from collections.abc import Sequence
 from pathlib import Path
@@ -21,6 +20,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from rfpp.benchmark.cost_rows import Row, read_rows
 from rfpp.errors import UserError
 from rfpp.scene.files import write_atomically
 
@@ -40,20 +40,10 @@ _PANELS = {
 }  # fmt: skip
 _NAMES = {"checkpointed_training_step": "training, activations recomputed", "training_step": "training"}
 
-Row = dict[str, str]
 
-
-def read_rows(path: Path) -> list[Row]:
+def swept_rows(path: Path) -> list[Row]:
     """The rows of the sweep over triangles. Raises UserError naming the file."""
-    try:
-        with path.open(newline="") as file:
-            rows = list(csv.DictReader(file))
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise UserError(f"{path}: cannot be read ({error}): correct the path") from None
-    needed = {"sweep", "triangles", "quantity", "network", "status", "seconds", "peak_GB"}
-    if not rows or needed - rows[0].keys():
-        raise UserError(f"{path}: not a table of costs: make it with launch/benchmark.py benchmark=cost output={path}")
-    rows = [row for row in rows if row["sweep"] == SWEEP]
+    rows = [row for row in read_rows(path) if row["sweep"] == SWEEP]
     if not rows:
         raise UserError(f"{path}: has no sweep '{SWEEP}': measure it with benchmark.only=[{SWEEP}] or all sweeps")
     return rows
@@ -134,7 +124,7 @@ def main(arguments: list[str] | None = None) -> Path:
     parser.add_argument("csv", type=Path, help="what launch/benchmark.py benchmark=cost has written")
     path = parser.parse_args(arguments).csv
     try:
-        rows = read_rows(path)
+        rows = swept_rows(path)
         for name, power in exponents(rows).items():
             shown = "too few points" if power is None else f"triangles^{power:.2f}"
             print(f"{name}: view-independent stage from {FITTED[0]:,} to {FITTED[1]:,} triangles: {shown}")

@@ -1,6 +1,7 @@
 """The cost benchmark: who is compared, what is counted, and rows also of what takes too much."""
 
 import csv
+from contextlib import suppress
 from itertools import pairwise
 
 import pytest
@@ -11,13 +12,15 @@ from networks import SMALLEST, model_config
 from omegaconf import OmegaConf
 
 from launch.benchmark import main
-from rfpp.benchmark.cost import Rounds, measure
+from rfpp.benchmark.cost import measure
 from rfpp.benchmark.cost_case import Case
 from rfpp.benchmark.cost_plot import main as plot
 from rfpp.benchmark.cost_process import Limits
 from rfpp.benchmark.cost_tasks import Inference, Setting, Untrained
+from rfpp.benchmark.cost_turns import Rounds
 from rfpp.entry import CONFIG_DIR
 from rfpp.errors import UserError
+from rfpp.evaluation.csv_files import write_rows
 
 CASE = Case(triangles=60, objects=5, views=2, resolution=16, scenes=1)
 SETTING = Setting(device="cpu", precision="bf16-mixed", threads=1, compile=False, seed=0)
@@ -37,12 +40,16 @@ def config(*overrides):
 def measured(task=None, only=None, rounds=0, **limits):
     """Rows of one task in one small case."""
     made = []
-    rows = measure(
+    rows = list(measure(
         NETWORKS, {"task": task or Inference()}, CASE, {"small": [{}]}, only, SETTING, Rounds(rounds, 60),
-        Limits(**{"seconds": 300, "memory_gb": None, **limits}), lambda *n: made.append(n),
-    )  # fmt: skip
+        Limits(**{"seconds": 300, "memory_gb": None, **limits}), None, lambda *n: made.append(n),
+    ))  # fmt: skip
     assert made[-1] == (2 * (1 + rounds), 2 * (1 + rounds))
     return rows
+
+
+def impossible(changes):
+    next(measure(NETWORKS, {}, CASE, {"odd": [changes]}, None, SETTING, Rounds(0, 0), Limits(1, 1), None, print))
 
 
 @pytest.fixture(scope="module")
@@ -93,6 +100,37 @@ def test_a_case_in_two_sweeps_is_measured_once(written):
     rows = list(csv.DictReader(written.open()))
     paper, again = rows[: len(rows) // 2], rows[len(rows) // 2 :]
     assert [{**row, "sweep": ""} for row in paper] == [{**row, "sweep": ""} for row in again]
+
+
+def test_a_run_goes_on_where_another_was_interrupted(tmp_path):
+    path = tmp_path / "cost.csv"
+    sweeps = {"small": [{}, {"triangles": 70}], "other": [{"triangles": 70}, {"triangles": 80}]}
+    turns = []
+
+    def interrupted(taken, total):
+        turns.append((taken, total))
+        if taken == 3:  # in the second case
+            raise KeyboardInterrupt
+
+    def run(progress):
+        rows = []
+        with suppress(KeyboardInterrupt):
+            for row in measure(
+                NETWORKS, {"task": Inference()}, CASE, sweeps, None, SETTING, Rounds(0, 60), Limits(300, None),
+                str(path), progress,
+            ):  # fmt: skip
+                rows.append(row)
+        write_rows(path, rows)
+        return path.read_text().splitlines()
+
+    first = run(interrupted)
+    assert turns[-1] == (3, 6) and len(first) == 1 + 6  # of the first case
+    second = run(lambda *n: turns.append(n))
+    assert turns[-1] == (4, 4)  # two cases
+    assert second[:7] == first
+    assert [line.split(",")[:2] for line in second[1::6]] == [
+        ["small", "60"], ["small", "70"], ["other", "70"], ["other", "80"]
+    ]  # fmt: skip
 
 
 def test_rendering_is_encoding_and_the_views(written):
@@ -155,11 +193,9 @@ def test_bad_settings_are_answered_in_one_line():
     with pytest.raises(UserError, match="choose from bf16-mixed, 32-true"):
         Setting(device="cpu", precision="half", threads=None, compile=False, seed=0)
     with pytest.raises(UserError, match="resolution 12 does not divide into RenderFormer's patches of 8"):
-        measure(
-            NETWORKS, {}, CASE, {"odd": [{"resolution": 12}]}, None, SETTING, Rounds(0, 0), Limits(1, 1), print
-        )  # fmt: skip
+        impossible({"resolution": 12})
     with pytest.raises(UserError, match="varies pixels"):
-        measure(NETWORKS, {}, CASE, {"odd": [{"pixels": 12}]}, None, SETTING, Rounds(0, 0), Limits(1, 1), print)
+        impossible({"pixels": 12})
 
 
 class TestOperations:

@@ -4,9 +4,10 @@ import csv
 
 import pytest
 
-from rfpp.benchmark.cost_plot import exponents, figure, main, read_rows
+from rfpp.benchmark.cost_plot import exponents, figure, main, swept_rows
 
 TRIANGLES = (1_600, 3_200, 12_800, 25_600, 51_200, 80_000)
+CONDITIONS = {"device": "cpu", "precision": "bf16-mixed", "compiled": "false", "threads": 2, "torch": "2.13.0"}
 
 
 @pytest.fixture
@@ -14,7 +15,7 @@ def table(tmp_path):
     """RenderFormer quadratic from 10,000 on, and out of memory in the largest case; the other linear."""
     rows = [
         {
-            "sweep": sweep, "triangles": n, "quantity": quantity, "network": network, "objects": 50,
+            "sweep": sweep, "triangles": n, "quantity": quantity, "network": network, "objects": 50, **CONDITIONS,
             "status": "out of memory" if missing else "ok",
             "seconds": "" if missing else (1e-9 * max(n, 10_000) ** 2 if network == "RenderFormer" else 1e-5 * n),
             "peak_GB": "" if missing or quantity == "encode" else 1e-4 * n,
@@ -34,7 +35,7 @@ def table(tmp_path):
 
 
 def test_the_exponent_is_that_of_the_large_cases(table):
-    fitted = exponents(read_rows(table))
+    fitted = exponents(swept_rows(table))
     assert fitted == {"RenderFormer": pytest.approx(2), "RenderFormer++": pytest.approx(1)}
 
 
@@ -47,7 +48,7 @@ def test_it_is_printed_and_the_plot_stands_beside_the_table(table, capsys):
 
 
 def test_curves_hold_what_was_measured_and_crosses_what_was_not(table):
-    encode = figure(read_rows(table)).axes[0]
+    encode = figure(swept_rows(table)).axes[0]
     assert encode.get_xscale() == encode.get_yscale() == "log"
     curves = [line.get_xydata() for line in encode.lines]
     quadratic, missing, linear, nothing = curves
