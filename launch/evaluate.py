@@ -20,11 +20,14 @@ from rfpp.errors import UserError
 from rfpp.evaluation.buckets import bucketed
 from rfpp.evaluation.confidence import Bootstrap, split_estimates
 from rfpp.evaluation.csv_files import write_buckets, write_records, write_summary
-from rfpp.evaluation.evaluate import baseline_records, fitted_baselines, network_records, ranked_scenes, render_stored
+from rfpp.evaluation.evaluate import baseline_records, fitted_baselines, network_records, render_stored
 from rfpp.evaluation.evaluation_file import Evaluation
-from rfpp.evaluation.panels import save_scene_panel
+from rfpp.evaluation.panels import first_view, save_scene_panel
+from rfpp.evaluation.pictures import write_pictures
 from rfpp.evaluation.printed import results_table
+from rfpp.evaluation.ranking import pictured_scenes, ranked_scenes
 from rfpp.evaluation.records import ImageRecord, scene_records
+from rfpp.evaluation.report import write_report
 from rfpp.evaluation.results import log_to_training_run, results_folder
 from rfpp.inference.checkpoint import load_network
 from rfpp.metrics.image import ImageMetrics
@@ -38,6 +41,8 @@ from rfpp.training.tracking.registry import checkpoint_file
 def main(cfg: DictConfig) -> list[Evaluation]:
     """Evaluate each of `cfg.checkpoint` on `cfg.evaluation.splits`; returns what each scored, in the same order."""
     console = Console(highlight=False)
+    if cfg.evaluation.pictured_scenes < 3:
+        raise UserError("evaluation.pictured_scenes: give at least 3: the best scene, the median and the worst")
     if OmegaConf.is_missing(cfg, "checkpoint"):
         raise UserError("checkpoint is not given: add checkpoint=<run folder>/checkpoints/best.ckpt")
     given = [cfg.checkpoint] if isinstance(cfg.checkpoint, str) else list(cfg.checkpoint)
@@ -83,23 +88,28 @@ def _evaluate(
     if info.data_manifest != manifest.hash:
         console.print(f"Note: {checkpoint} was trained on another data set than {cfg.data.root}.", style="yellow")
 
-    images, panels = [], []
+    images, panels, pictures = [], [], {}
     with _bar(console) as bar:
         for split in splits:
             mine = network_records(network, split, metrics, device, _task(bar, split, "model"))
-            chosen = ranked_scenes(mine)
-            scenes = {caption: render_stored(network, split, index, device) for caption, index in chosen.items()}
-            panels.append(save_scene_panel(scenes, output / f"{split.split}.png"))
+            scenes = scene_records(mine)
+            shown = pictured_scenes(scenes, cfg.evaluation.pictured_scenes)
+            views = {index: first_view(render_stored(network, split, index, device)) for index in shown}
+            chosen = {caption: views[index] for caption, index in ranked_scenes(scenes).items()}
+            panels.append(save_scene_panel(chosen, output / f"{split.split}.png"))
+            pictures |= {(split.split, scenes[index].scene): view for index, view in views.items()}
             images += [*mine, *(record for record in beside if record.split == split.split)]
 
     scenes, bootstrap = scene_records(images), Bootstrap(**cfg.evaluation.bootstrap)
     means, buckets = split_estimates(scenes, bootstrap), bucketed(scenes, cfg.evaluation.buckets, bootstrap)
     evaluation = Evaluation.of(info, manifest, device, means)
     tables = [*write_records(images, scenes, output), write_summary(means, output), write_buckets(buckets, output)]
-    files = [*tables, evaluation.write(output), *panels, write_config(cfg, output)]
+    files = [*tables, evaluation.write(output), write_pictures(pictures, output), *panels, write_config(cfg, output)]
+    report = write_report(output)
     console.print(results_table(means, buckets))
+    console.print(f"Report: {report}", soft_wrap=True)
     console.print(f"Per image, per scene, summary, buckets and panels: {output}", soft_wrap=True)
-    console.print(log_to_training_run(info, manifest.name, means, files), soft_wrap=True)
+    console.print(log_to_training_run(info, manifest.name, means, [*files, report]), soft_wrap=True)
     return evaluation
 
 

@@ -1,18 +1,23 @@
-"""Records, means and buckets as CSV."""
+"""Records, means and buckets as CSV, and back."""
 
 from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
+from typing import TypeVar
 
+from rfpp.errors import UserError
 from rfpp.evaluation.buckets import Bucket
-from rfpp.evaluation.confidence import Estimates
+from rfpp.evaluation.confidence import Estimate, Estimates
 from rfpp.evaluation.records import ImageRecord, SceneRecord
 from rfpp.scene.files import write_atomically
 
+BUCKETS_FILE = "buckets.csv"
+
 Row = Mapping[str, str | int | float | None]
+Content = TypeVar("Content")
 
 
 def write_records(images: Sequence[ImageRecord], scenes: Sequence[SceneRecord], folder: Path) -> list[Path]:
@@ -35,6 +40,17 @@ def write_records(images: Sequence[ImageRecord], scenes: Sequence[SceneRecord], 
     return files
 
 
+def read_scenes(folder: Path, split: str, metrics: Sequence[str]) -> list[SceneRecord]:
+    """The records in `<split>_scenes.csv`. Raises UserError naming the file: absent, or without these `metrics`."""
+    return _read(
+        folder / f"{split}_scenes.csv",
+        lambda row: SceneRecord(
+            split, row["scene"], int(row["triangles"]), int(row["objects"]), row["predictor"],
+            {name: float(row[name]) for name in metrics},
+        ),
+    )  # fmt: skip
+
+
 def write_summary(means: Mapping[tuple[str, str], Estimates], folder: Path) -> Path:
     """`summary.csv`: a row per split and predictor; `<metric>`, `<metric>_low` and `<metric>_high` in columns.
 
@@ -55,7 +71,18 @@ def write_buckets(buckets: Sequence[Bucket], folder: Path) -> Path:
         {"split": b.split, "counted": b.counted, "from": b.start, "below": b.stop, **_columns(b.estimates)}
         for b in buckets
     ]
-    return write_rows(folder / "buckets.csv", rows)
+    return write_rows(folder / BUCKETS_FILE, rows)
+
+
+def read_buckets(folder: Path, metrics: Sequence[str]) -> list[Bucket]:
+    """The buckets in `buckets.csv`. Raises UserError naming the file: absent, or without these `metrics`."""
+    return _read(
+        folder / BUCKETS_FILE,
+        lambda row: Bucket(
+            row["split"], row["counted"], int(row["from"]), int(row["below"]) if row["below"] else None,
+            {name: _estimate(row, name) for name in metrics},
+        ),
+    )  # fmt: skip
 
 
 def write_rows(path: Path, rows: Sequence[Row]) -> Path:
@@ -69,6 +96,20 @@ def write_rows(path: Path, rows: Sequence[Row]) -> Path:
     writer.writerow(rows[0])
     writer.writerows(_cells(row.values()) for row in rows)
     return write_atomically(path, stream.getvalue().encode())
+
+
+def _read(path: Path, content: Callable[[Mapping[str, str]], Content]) -> list[Content]:
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            return [content(row) for row in csv.DictReader(file)]
+    except OSError as error:
+        raise UserError(f"{path}: cannot be read ({error.strerror}): make it with launch/evaluate.py") from None
+    except (ValueError, KeyError, TypeError, csv.Error) as error:
+        raise UserError(f"{path}: not what launch/evaluate.py writes ({error!r}): make it again") from None
+
+
+def _estimate(row: Mapping[str, str], name: str) -> Estimate:
+    return Estimate(*(float(row[column]) for column in (name, f"{name}_low", f"{name}_high")), int(row["scenes"]))
 
 
 def _columns(values: Estimates) -> Row:

@@ -12,9 +12,9 @@ from torch import Tensor, nn
 
 from rfpp.batch import RaggedBatch
 from rfpp.errors import ShardError, UserError
-from rfpp.evaluation.records import MODEL, ImageRecord, scene_records
+from rfpp.evaluation.records import MODEL, ImageRecord
 from rfpp.metrics.baselines import CHANNELS, AlbedoTimesConstant, Baseline, Black, DirectLightAlone, MeanImage
-from rfpp.metrics.image import METRICS, ImageMetrics
+from rfpp.metrics.image import ImageMetrics
 from rfpp.radiance import log_decode
 from rfpp.shards.stream import ShardSplit
 from rfpp.training.views import select_views
@@ -116,20 +116,6 @@ def fitted_baselines(train: ShardSplit, scenes: int) -> list[Baseline]:
     """Every trivial baseline, fitted on evenly spaced training scenes, at most `scenes` of them."""
     baselines = (Black(), MeanImage(), AlbedoTimesConstant(), DirectLightAlone())
     return [baseline.fit(_training_views(train, scenes)) for baseline in baselines]
-
-
-def ranked_scenes(records: Sequence[ImageRecord], metric: str = "log_l1") -> dict[str, int]:
-    """The model's best, median and worst scene of one split: caption, with its mean error → index in the split.
-
-    Args:
-        records: the model's on one whole split, in its order.
-        metric: one where lower is better.
-    """
-    errors = [(scene.values[metric], index, scene.scene) for index, scene in enumerate(scene_records(records))]
-    ranked = sorted(errors)
-    chosen = {"best": ranked[0], "median": ranked[len(ranked) // 2], "worst": ranked[-1]}
-    label = METRICS[metric].label
-    return {f"{place}: {key}, {label} {error:.4f}": index for place, (error, index, key) in chosen.items()}
 
 
 def _scenes(split: ShardSplit) -> range:

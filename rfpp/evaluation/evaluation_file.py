@@ -114,6 +114,13 @@ def read_evaluations(paths: Iterable[Path]) -> list[Evaluation]:
     return list(evaluations.values())
 
 
+def require_known_metrics(evaluation: Evaluation, path: Path) -> None:
+    """Raises UserError naming the file: what it calls by a metric's name is another metric by now."""
+    for name, definition in evaluation.definitions.items():
+        if name not in METRICS or METRICS[name].definition != definition:
+            raise UserError(f"{path}: '{name}' is by now another metric ({definition}): evaluate again")
+
+
 def hardware(device: torch.device) -> str:
     """The device in words, e.g. "NVIDIA A100-SXM4-80GB" or "AMD EPYC, 2 cores"."""
     if device.type == "cuda":
@@ -134,9 +141,7 @@ def _processor() -> str:
 def _require_comparable(evaluations: Mapping[Path, Evaluation]) -> None:
     seen: dict[str, tuple[Path, str]] = {}
     for file, e in evaluations.items():
-        for name, definition in e.definitions.items():
-            if name not in METRICS or METRICS[name].definition != definition:
-                raise UserError(f"{file}: '{name}' is by now another metric ({definition}): evaluate again")
+        require_known_metrics(e, file)
         for what, version in ((f"the data set '{e.data}'", e.data_manifest), (_identity(e), str(file))):
             other, known = seen.setdefault(what, (file, version))
             if known != version:

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
-from rfpp.evaluation.confidence import Estimate
 from rfpp.evaluation.evaluation_file import Evaluation
+from rfpp.evaluation.number_text import EMPTY, interval_text, number_text
 from rfpp.evaluation.rows import ResultTable, Row, Run
 from rfpp.metrics.image import METRICS
-
-EMPTY = "—"
 
 #: What the lines of a row mean.
 LEGEND = (
@@ -68,22 +65,24 @@ def _lines(row: Row, columns: Sequence[tuple[int, str]], notes: list[str]) -> It
     """The lines of one row; what they say of their runs is appended to `notes`."""
     label = row.label
     if row.paper is not None:
-        yield [label, "paper", *(_number(name, row.paper[group][name]) for group, name in columns)]
+        yield [label, "paper", *(number_text(name, row.paper[group][name]) for group, name in columns)]
         label = ""
     if not row.runs:
         yield [label, "ours: not run", *(EMPTY for _ in columns)]
     for run in row.runs:
         values = [run.columns[group].means.get(name) for group, name in columns]
-        means = [EMPTY if v is None else _number(name, v.mean) for v, (_, name) in zip(values, columns, strict=True)]
+        means = [
+            EMPTY if v is None else number_text(name, v.mean) for v, (_, name) in zip(values, columns, strict=True)
+        ]
         if row.is_baseline:
             yield [label, "baseline", *means]
             continue
         notes.append(f"[{len(notes) + 1}] {_description(run)}")
         yield [label, f"ours [{len(notes)}]: {training_text(run, row.paper_steps)}", *means]
-        yield ["", "95% interval", *(_interval(name, v) for v, (_, name) in zip(values, columns, strict=True))]
+        yield ["", "95% interval", *(interval_text(name, v) for v, (_, name) in zip(values, columns, strict=True))]
         if len(run.seeds) > 1:
             spread = [run.columns[group].deviations.get(name) for group, name in columns]
-            texts = [EMPTY if v is None else _number(name, v) for v, (_, name) in zip(spread, columns, strict=True)]
+            texts = [EMPTY if v is None else number_text(name, v) for v, (_, name) in zip(spread, columns, strict=True)]
             yield ["", f"sd of {len(run.seeds)} seeds", *texts]
         label = ""
 
@@ -103,16 +102,6 @@ def _data(e: Evaluation) -> str:
     scenes = {split: next(iter(values.values())).scenes for (split, _), values in e.means.items()}
     counts = ", ".join(f"{split} {count} scenes" for split, count in scenes.items())
     return f"{e.data} (manifest {e.data_manifest[:12]}; {counts})"
-
-
-def _interval(name: str, value: Estimate | None) -> str:
-    if value is None or math.isnan(value.margin):
-        return EMPTY
-    return f"{_number(name, value.low)}–{_number(name, value.high)}"
-
-
-def _number(name: str, value: float) -> str:
-    return f"{value:.{METRICS[name].decimals}f}"
 
 
 def _thousands(count: int) -> str:

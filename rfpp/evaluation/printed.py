@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 from rich import box
 from rich.console import Group
@@ -12,6 +11,7 @@ from rich.text import Text
 
 from rfpp.evaluation.buckets import Bucket
 from rfpp.evaluation.confidence import Estimate, Estimates
+from rfpp.evaluation.number_text import best_value, number_text
 from rfpp.evaluation.records import MODEL
 from rfpp.metrics.image import METRICS
 
@@ -37,11 +37,11 @@ def results_table(means: Mapping[tuple[str, str], Estimates], buckets: Sequence[
 def _split_table(split: str, rows: Mapping[str, Estimates], names: Sequence[str]) -> Table:
     scenes = next(iter(next(iter(rows.values())).values())).scenes
     table = _table(f"{split}, {scenes} scenes", names)
-    best = {name: _best(name, (values[name].mean for values in rows.values())) for name in names}
+    best = {name: best_value(name, (values[name].mean for values in rows.values())) for name in names}
     for predictor, values in rows.items():
         table.add_row(predictor, *(_cell(name, values[name], values[name].mean == best[name]) for name in names))
         if predictor == MODEL:
-            table.add_row("", *(Text(f"± {_number(name, values[name].margin)}", style="dim") for name in names))
+            table.add_row("", *(Text(f"± {number_text(name, values[name].margin)}", style="dim") for name in names))
     return table
 
 
@@ -66,14 +66,5 @@ def _table(title: str, names: Sequence[str], *before: str) -> Table:
     return table
 
 
-def _best(name: str, values: Iterable[float]) -> float:
-    finite = [value for value in values if not math.isnan(value)]
-    return (max if METRICS[name].higher_is_better else min)(finite, default=math.nan)
-
-
 def _cell(name: str, value: Estimate, is_best: bool) -> Text:
-    return Text(_number(name, value.mean), style="bold green" if is_best else "")
-
-
-def _number(name: str, value: float) -> str:
-    return f"{value:.{METRICS[name].decimals}f}"
+    return Text(number_text(name, value.mean), style="bold green" if is_best else "")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import html
 import io
 from pathlib import Path
 
@@ -11,6 +10,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
 
+from rfpp.evaluation.page import page
 from rfpp.evaluation.transport import TransportTrace
 from rfpp.inference.checkpoint import CheckpointInfo
 from rfpp.panels import error_map, panel, save_png, tone_mapped
@@ -36,17 +36,8 @@ def write_transport_report(trace: TransportTrace, info: CheckpointInfo, title: s
     }
     files = [_write_csv(trace, folder), _write_curves(trace, folder / "curves.png"), _write_images(trace, folder)]
     about = f"{info.method}, seed {info.seed}, {info.steps} steps on {info.dataset}, trained with K = {trace.trained}"
-    body = "".join(
-        f'<figure><img src="{name}" alt=""><figcaption>{html.escape(caption)}</figcaption></figure>'
-        for name, caption in pictures.items()
-    )
-    page = (
-        "<!doctype html><html lang=en><meta charset=utf-8><title>Light transport</title>"
-        "<style>body{font:15px/1.5 sans-serif;max-width:75rem;margin:2rem auto;padding:0 1rem}"
-        "img{max-width:100%}figure{margin:2rem 0}figcaption{color:#555}</style>"
-        f"<h1>Does the operator converge?</h1><p>{html.escape(title)}<br>{html.escape(about)}</p>{body}</html>"
-    )
-    return [*files, write_atomically(folder / "index.html", page.encode())]
+    content = page("transport.html", title=title, about=about, pictures=pictures)
+    return [*files, write_atomically(folder / "index.html", content)]
 
 
 def _write_csv(trace: TransportTrace, folder: Path) -> Path:

@@ -6,12 +6,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from browser import _chromium, browser  # noqa: F401
 from known_scenes import look_at, still_life
 from torch import nn
 
-from rfpp.evaluation.confidence import Bootstrap, Estimate
+from rfpp.evaluation.buckets import bucketed
+from rfpp.evaluation.confidence import Bootstrap, Estimate, split_estimates
+from rfpp.evaluation.csv_files import write_buckets, write_records
 from rfpp.evaluation.evaluation_file import Evaluation
 from rfpp.evaluation.paper import PAPER_METRICS
+from rfpp.evaluation.pictures import write_pictures
 from rfpp.evaluation.records import ImageRecord, SceneRecord, scene_records
 from rfpp.gbuffer.direct_light import with_direct_light
 from rfpp.gbuffer.first_hit import first_hit, stack_channels
@@ -138,3 +142,34 @@ def _evaluation(
         "means": {(split, who): values for split in splits for who, values in (("model", model), ("black", black))},
     }
     return Evaluation(method=method, data=data, seed=seed, **(about | changes))
+
+
+RED, BLUE = (255, 0, 0), (0, 0, 255)
+
+
+@pytest.fixture
+def evaluated(evaluation, bootstrap, tmp_path) -> Callable[..., Path]:
+    """`evaluated({scene: (triangles, log-L1)}, ...)`: the folder of an evaluation whose model scored so on split test.
+
+    PSNR is 30 − 10 log-L1, the baseline's log-L1 0.9. All scenes have pictures: predictions are red, references blue.
+    """
+
+    def written(scenes: dict[str, tuple[int, float]], baseline: str = "black", **about) -> Path:
+        images = [
+            _record("test", scene, view, who, error if who == "model" else 0.9, 30 - 10 * error, triangles)
+            for who in ("model", baseline)
+            for scene, (triangles, error) in scenes.items()
+            for view in range(2)
+        ]
+        records = scene_records(images)
+        definitions = {name: METRICS[name].definition for name in ("log_l1", "psnr")}
+        means = split_estimates(records, bootstrap)
+        evaluation(means=means, definitions=definitions, **about).write(tmp_path)
+        write_records(images, records, tmp_path)
+        write_buckets(bucketed(records, {"triangles": [1000], "objects": [5]}, bootstrap), tmp_path)
+        plain = {"prediction": RED, "reference": BLUE, "error": (90, 20, 90), "direct light": RED, "albedo": BLUE}
+        tiles = {name: np.full((32, 32, 3), colour, np.uint8) for name, colour in plain.items()}
+        write_pictures({("test", scene): tiles for scene in scenes}, tmp_path)
+        return tmp_path
+
+    return written

@@ -1,16 +1,12 @@
+import numpy as np
 import pytest
 import torch
 
 from rfpp.errors import ShardError, UserError
-from rfpp.evaluation.evaluate import (
-    baseline_records,
-    fitted_baselines,
-    network_records,
-    ranked_scenes,
-    render_stored,
-)
-from rfpp.evaluation.panels import save_scene_panel
-from rfpp.evaluation.records import MODEL, scene_records
+from rfpp.evaluation.evaluate import baseline_records, fitted_baselines, network_records, render_stored
+from rfpp.evaluation.panels import first_view, save_scene_panel
+from rfpp.evaluation.ranking import pictured_scenes, ranked_scenes
+from rfpp.evaluation.records import MODEL, SceneRecord, scene_records
 from rfpp.metrics.image import ImageMetrics
 from rfpp.radiance import log_encode
 from rfpp.shards.stream import ShardSplit
@@ -62,13 +58,33 @@ def test_a_scenes_record_is_the_mean_of_its_views(records) -> None:
 
 
 def test_best_median_and_worst_scene(of_network) -> None:
-    ranked = ranked_scenes(of_network)
+    ranked = ranked_scenes(scene_records(of_network))
     assert list(ranked.values()) == [1, 0, 2]  # levels 0.5, 0.6, 0.9
     assert [caption.split(",")[0] for caption in ranked] == [
         "best: test-000001",
         "median: test-000000",
         "worst: test-000002",
     ]
+
+
+def _scenes_with(*errors: float) -> list[SceneRecord]:
+    return [SceneRecord("test", f"scene-{i}", 100, 5, MODEL, {"log_l1": error}) for i, error in enumerate(errors)]
+
+
+@pytest.mark.parametrize("total", [1, 2, 3, 4, 31, 32, 1000])
+@pytest.mark.parametrize("count", [3, 4, 9])
+def test_pictured_scenes_go_from_best_to_worst_by_way_of_the_median(total, count) -> None:
+    scenes = _scenes_with(*np.random.default_rng(0).permutation(total).astype(float))
+    shown = pictured_scenes(scenes, count)
+    errors = [scenes[index].values["log_l1"] for index in shown]
+    assert len(shown) == min(total, count - (count + 1) % 2)
+    assert errors == sorted(errors)
+    assert set(ranked_scenes(scenes).values()) <= set(shown)
+
+
+def test_a_scene_that_is_not_a_number_is_the_worst() -> None:
+    ranked = ranked_scenes(_scenes_with(0.2, float("nan"), 0.3))
+    assert list(ranked.values()) == [0, 2, 1]
 
 
 def test_progress_is_told_after_each_scene(data_root, half_albedo, cpu) -> None:
@@ -97,6 +113,6 @@ def test_an_empty_split_is_named(data_root, half_albedo, cpu) -> None:
 
 def test_a_panel_of_chosen_scenes_is_written(data_root, half_albedo, cpu, tmp_path) -> None:
     split = ShardSplit(data_root, "test")
-    scenes = {f"scene {i}": render_stored(half_albedo, split, i, cpu) for i in range(2)}
+    scenes = {f"scene {i}": first_view(render_stored(half_albedo, split, i, cpu)) for i in range(2)}
     path = save_scene_panel(scenes, tmp_path / "new" / "test.png")
     assert path.read_bytes().startswith(b"\x89PNG")

@@ -55,7 +55,7 @@ def test_writes_tables_and_panels_into_the_run(compose_evaluation, make_checkpoi
     folder = checkpoint.parents[1] / "evaluation"
     written = {path.name for path in folder.iterdir()}
     tables = {"test.csv", "test_scenes.csv", "summary.csv", "buckets.csv", "evaluation.json"}
-    assert written == {*tables, "test.png", "config.yaml"}
+    assert written == {*tables, "test.png", "pictures.zip", "report.html", "config.yaml"}
     assert Evaluation.read(folder / "evaluation.json") == evaluation
     assert (evaluation.method, evaluation.seed, evaluation.data) == ("RenderFormer++ w/o TCL", 3, "known")
     psnr = evaluation.means["test", "model"]["psnr"]
@@ -84,12 +84,13 @@ def test_each_of_several_checkpoints_is_measured_alone_beside_the_same_baselines
     ("override", "message"),
     [
         ("name=unchanged", "checkpoint is not given"),
+        ("evaluation.pictured_scenes=2", "evaluation.pictured_scenes: give at least 3"),
         ("checkpoint=/nowhere/best.ckpt", "/nowhere/best.ckpt: no such checkpoint"),
         ("checkpoint=[{run}/checkpoints/best.ckpt,/nowhere/best.ckpt]", "/nowhere/best.ckpt: no such checkpoint"),
         ("checkpoint=[{run}/checkpoints/best.ckpt,{run}/checkpoints/last.ckpt]", "write to one folder"),
     ],
 )
-def test_a_bad_checkpoint_is_one_line_and_nothing_is_evaluated(
+def test_a_bad_setting_is_one_line_and_nothing_is_evaluated(
     compose_evaluation, make_checkpoint, capsys, override, message
 ) -> None:
     best = make_checkpoint("run")
