@@ -1,4 +1,4 @@
-"""Scene files: RenderFormer JSON v1.0, read and written."""
+"""RenderFormer JSON v1.0, read and written."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from rfpp.errors import SceneError
 from rfpp.scene.files import write_atomically
 from rfpp.scene.mesh import Mesh, decimated, load_mesh, save_mesh
 from rfpp.scene.spec import Camera, Material, Scene, SceneObject, Strict, Transform
+from rfpp.scene.untrusted import MAX_JSON_BYTES, beside, one_line, parse_json, read_bytes, require_bounded
 
 VERSION = "1.0"
 
@@ -41,17 +42,19 @@ class _ObjectEntry(Strict):
 def load_scene(path: Path) -> Scene:
     """Read a scene in RenderFormer JSON v1.0 with its meshes, whose paths are relative to the file.
 
-    An object with `remesh` is reduced to at most `remesh_target_face_num` faces.
+    They lie in its folder or below: a scene names no file elsewhere. An object with `remesh` is reduced to at most
+    `remesh_target_face_num` faces.
 
     Raises:
         SceneError: one line with the file, the key and the fix.
     """
     with _located(f"{path}"):
-        entry = _SceneEntry(**_parsed(path))
+        entry = _SceneEntry(**parse_json(read_bytes(path, MAX_JSON_BYTES), "a scene in RenderFormer JSON v1.0"))
         if entry.version != VERSION:
             raise SceneError(f"version: '{entry.version}' cannot be read, only '{VERSION}': convert the file")
         meshes: dict[Path, Mesh] = {}
         objects = tuple(_object(name, values, path.parent, meshes) for name, values in entry.objects.items())
+        require_bounded(sum(len(item.mesh) for item in objects))
         return Scene(name=entry.scene_name, objects=objects, cameras=tuple(_cameras(entry.cameras)))
 
 
@@ -62,8 +65,12 @@ def save_scene(scene: Scene, path: Path) -> Path:
         `path`.
 
     Raises:
+        SceneError: an object whose material varies over its faces, which the format cannot say.
         UserError: a file cannot be written.
     """
+    for item in scene.objects:
+        if item.face_material is not None:
+            raise SceneError(f"{path}: object '{item.name}': JSON v1.0 has one material an object: save it as .h5")
     mesh_paths = _save_meshes([item.mesh for item in scene.objects], [item.name for item in scene.objects], path)
     content = {
         "scene_name": scene.name,
@@ -97,33 +104,10 @@ def _save_meshes(meshes: list[Mesh], names: list[str], scene_path: Path) -> list
     return paths
 
 
-def _parsed(path: Path) -> dict[str, Any]:
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"), object_pairs_hook=_without_repeats)
-    except OSError as error:
-        raise SceneError(f"cannot be read ({error.strerror}): correct the path") from None
-    except UnicodeDecodeError:
-        raise SceneError("is not UTF-8 text: give a scene in RenderFormer JSON v1.0") from None
-    except json.JSONDecodeError as error:
-        raise SceneError(f"line {error.lineno}: malformed JSON, {error.msg}: correct it") from None
-    if not isinstance(content, dict):
-        raise SceneError("is not a JSON object: give a scene in RenderFormer JSON v1.0")
-    return content
-
-
-def _without_repeats(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    content = dict(pairs)
-    if len(content) < len(pairs):
-        keys = [key for key, _ in pairs]
-        repeated = next(key for key in keys if keys.count(key) > 1)
-        raise SceneError(f"the key '{repeated}' occurs twice in one place: rename or remove one")
-    return content
-
-
 def _object(name: str, values: dict[str, Any], folder: Path, meshes: dict[Path, Mesh]) -> SceneObject:
-    with _located(f"object '{name}'"):
+    with _located(f"object '{one_line(name)}'"):
         entry = _ObjectEntry(**values)
-        mesh_path = folder / entry.mesh_path
+        mesh_path = beside(folder, entry.mesh_path)
         if mesh_path not in meshes:
             meshes[mesh_path] = load_mesh(mesh_path)
         mesh = meshes[mesh_path]

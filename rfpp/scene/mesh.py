@@ -9,7 +9,7 @@ from pathlib import Path
 import fast_simplification
 import numpy as np
 import trimesh
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from rfpp.errors import SceneError
 from rfpp.scene.files import write_atomically
@@ -67,12 +67,17 @@ def load_mesh(path: Path) -> Mesh:
     The meshes of a glTF file are placed by its nodes and put together.
 
     Raises:
-        SceneError: naming the file, if it is missing, unreadable or not a valid `Mesh`.
+        SceneError: naming the file, if it is missing, unreadable or not a valid `Mesh`, claims more than it holds, or
+            names files outside its folder.
     """
     if path.suffix.lower() not in MESH_SUFFIXES:
         raise SceneError(f"{path}: '{path.suffix}' is not a mesh format that can be read: export OBJ, PLY, STL or glTF")
     if not path.is_file():
         raise SceneError(f"{path}: there is no such mesh file: correct the path")
+    # Late: the readers of scenes are built on this module.
+    from rfpp.scene.readers.soundness import require_sound
+
+    require_sound(path)
     if path.suffix.lower() == ".obj":
         _check_obj_indices(path)
     try:
@@ -137,11 +142,16 @@ def without_degenerate_faces(mesh: Mesh) -> Mesh:
     Raises:
         SceneError: no triangle is left.
     """
-    solid = slimness(mesh) > _DEGENERATE_SLIMNESS
+    solid = has_area(mesh)
     if not solid.any():
         raise SceneError("every triangle has zero area: check the mesh and its scale")
     used, faces = np.unique(mesh.faces[solid], return_inverse=True)
     return Mesh(mesh.vertices[used], faces.reshape(-1, 3))
+
+
+def has_area(mesh: Mesh) -> Bool[np.ndarray, " faces"]:
+    """The faces that `without_degenerate_faces` keeps."""
+    return slimness(mesh) > _DEGENERATE_SLIMNESS
 
 
 def slimness(mesh: Mesh) -> Float[np.ndarray, " faces"]:

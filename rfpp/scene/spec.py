@@ -117,6 +117,8 @@ class SceneObject(Strict):
         name: unique in its scene.
         mesh: in the mesh's own coordinates, before `transform`.
         transform, material: see there.
+        face_material: [F, 10] float32, if the material varies over the faces: rows of `SceneTriangles.material`, which
+            then hold instead of `material`. That keeps the area-weighted mean, and the shading.
     """
 
     noun = "object"
@@ -125,6 +127,18 @@ class SceneObject(Strict):
     mesh: Mesh
     material: Material
     transform: Transform = Transform()
+    face_material: np.ndarray | None = None
+
+    @model_validator(mode="after")
+    def _has_a_material_for_each_face(self) -> SceneObject:
+        rows = self.face_material
+        if rows is None:
+            return self
+        if rows.shape != (len(self.mesh), 10):
+            raise ValueError(f"face_material: shape {rows.shape}, not ({len(self.mesh)}, 10): give a row for each face")
+        if not (np.isfinite(rows).all() and rows.min() >= 0 and rows[:, :7].max() <= 1):
+            raise ValueError("face_material: a reflectance or roughness outside [0, 1], or a bad emission: correct it")
+        return self
 
     @model_validator(mode="after")
     def _conserves_energy(self) -> SceneObject:
@@ -158,22 +172,38 @@ class Scene(Strict):
 
     @classmethod
     @no_type_check  # PackedScene is built on this module, so its name cannot be known here at run time
-    def load(cls, path: str | Path) -> Scene | PackedScene:
-        """Read a scene file: RenderFormer JSON v1.0, or its H5, which holds no objects and comes packed.
+    def load(
+        cls, path: str | Path, *, triangles: int | None = None, up: Literal["y", "z"] | None = None
+    ) -> Scene | PackedScene:
+        """Read any scene.
 
-        Raises SceneError naming the file, the key and the fix.
+        RenderFormer JSON v1.0 as it is, and its H5, which holds no objects and comes packed; glTF (.gltf, .glb), OBJ
+        with MTL, PLY, STL, or a folder of these, whose surfaces are fitted into [-0.5, 0.5]^3, with a camera and lights
+        where there are none. Each change is a warning of one line. `rfpp.scene.readers` says how nodes, materials,
+        lights and textures are read.
+
+        Args:
+            triangles: a scene of more is decimated to so many.
+            up: the axis that points up in OBJ (else y), PLY and STL files (else z); glTF says y.
+
+        Raises:
+            SceneError: naming the file, what is wrong or cannot be represented, and the fix.
         """
-        from rfpp.scene.formats import load_scene
-        from rfpp.scene.h5 import load_h5
+        from rfpp.scene.loading import load_any
 
-        path = Path(path)
-        return load_h5(path) if path.suffix in (".h5", ".hdf5") else load_scene(path)
+        return load_any(Path(path), triangles, up)
 
     def save(self, path: str | Path) -> Path:
-        """Write RenderFormer JSON v1.0 with the meshes as OBJ files beside it; returns the path."""
-        from rfpp.scene.formats import save_scene
+        """Write RenderFormer JSON v1.0 with the meshes as OBJ files beside it, or its H5 (.h5); returns the path.
 
-        return save_scene(self, Path(path))
+        Raises SceneError for JSON where a material varies over an object's faces, which only H5 holds.
+        """
+        from rfpp.scene.formats import save_scene
+        from rfpp.scene.h5 import save_h5
+        from rfpp.scene.packed import pack
+
+        path = Path(path)
+        return save_h5(pack(self), path) if path.suffix in (".h5", ".hdf5") else save_scene(self, path)
 
 
 def first_problem(error: ValidationError, noun: str = "") -> str:

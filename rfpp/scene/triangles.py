@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from rfpp.errors import SceneError
-from rfpp.scene.mesh import Mesh, normalized, without_degenerate_faces
+from rfpp.scene.mesh import Mesh, has_area, normalized, without_degenerate_faces
 from rfpp.scene.shading import corner_normals, shading_groups
 from rfpp.scene.spec import Material, Scene, SceneObject, Vector
 
@@ -59,7 +59,8 @@ class SceneTriangles:
         Raises:
             SceneError: naming the object, if nothing of it is left.
         """
-        meshes = [_world_mesh(item) for item in scene.objects]
+        placed = [_world_mesh(item) for item in scene.objects]
+        meshes = [_without_degenerate_faces(item, mesh) for item, mesh in zip(scene.objects, placed, strict=True)]
         return cls(
             positions=np.concatenate([mesh.corners for mesh in meshes]),
             normals=np.concatenate(
@@ -69,7 +70,12 @@ class SceneTriangles:
                 ]
             ),
             material=np.concatenate(
-                [_material_rows(item.material, mesh) for item, mesh in zip(scene.objects, meshes, strict=True)]
+                [
+                    _material_rows(item.material, mesh)
+                    if item.face_material is None
+                    else item.face_material[has_area(before)].astype(np.float32)
+                    for item, before, mesh in zip(scene.objects, placed, meshes, strict=True)
+                ]
             ),
             object_offsets=np.cumsum([0, *map(len, meshes)], dtype=np.int32),
             object_names=tuple(item.name for item in scene.objects),
@@ -86,7 +92,7 @@ def rotation_matrix(degrees: Vector) -> Float[np.ndarray, "3 3"]:
 
 
 def _world_mesh(item: SceneObject) -> Mesh:
-    """The mesh after its transform, without zero-area triangles, still facing outwards if it was mirrored.
+    """The mesh after its transform, still facing outwards if it was mirrored.
 
     Shading normals are made from this mesh, as RenderFormer does, so no normal ever needs the inverse transpose.
     """
@@ -96,7 +102,14 @@ def _world_mesh(item: SceneObject) -> Mesh:
         rotated = mesh.vertices @ rotation_matrix(transform.rotation).T
         vertices = rotated * np.array(transform.scale) + np.array(transform.translation)
         faces = mesh.faces[:, ::-1] if np.prod(np.sign(transform.scale)) < 0 else mesh.faces
-        return without_degenerate_faces(Mesh(vertices, faces))
+        return Mesh(vertices, faces)
+    except SceneError as error:
+        raise SceneError(f"object '{item.name}': {error}") from None
+
+
+def _without_degenerate_faces(item: SceneObject, mesh: Mesh) -> Mesh:
+    try:
+        return without_degenerate_faces(mesh)
     except SceneError as error:
         raise SceneError(f"object '{item.name}': {error}") from None
 

@@ -61,12 +61,28 @@ def test_absent_keys_have_the_defaults_of_the_format(folder: Path) -> None:
     assert item.material.random_diffuse_type == "per-shading-group"
 
 
-def test_meshes_are_found_beside_the_file_above_it_and_anywhere(folder: Path, monkeypatch) -> None:
+def test_meshes_are_found_beside_the_file_and_below(folder: Path, monkeypatch) -> None:
     (folder / "sub").mkdir()
+    (folder / "ball.obj").rename(folder / "sub" / "ball.obj")
     monkeypatch.chdir("/")
-    for mesh_path in ("../ball.obj", str(folder / "ball.obj")):
-        path = write(folder / "sub", changed(lambda c, p=mesh_path: c["objects"]["ball"].update(mesh_path=p)))
-        assert len(load_scene(path).objects[0].mesh) == 1280
+    path = write(folder, changed(lambda c: c["objects"]["ball"].update(mesh_path="sub/ball.obj")))
+    assert len(load_scene(path).objects[0].mesh) == 1280
+
+
+@pytest.mark.parametrize("escape", ["../ball.obj", "sub/../../ball.obj", "{}/ball.obj", "..\\ball.obj", "C:/ball.obj"])
+def test_a_mesh_outside_the_folder_is_refused_though_it_is_there(folder: Path, escape: str) -> None:
+    (folder / "inner" / "sub").mkdir(parents=True)
+    path = write(
+        folder / "inner", changed(lambda c: c["objects"]["ball"].update(mesh_path=escape.format(folder.as_posix())))
+    )
+    with pytest.raises(SceneError, match=r"object 'ball': .*leads out of the file's folder: copy it there"):
+        Scene.load(path)
+
+
+def test_a_mesh_behind_a_link_is_found(folder: Path) -> None:
+    (folder / "inner").mkdir()
+    (folder / "inner" / "ball.obj").symlink_to(folder / "ball.obj")
+    assert len(Scene.load(write(folder / "inner", PLAIN)).objects[0].mesh) == 1280
 
 
 @pytest.mark.parametrize(("target", "most"), [({}, 1280), ({"remesh_target_face_num": 200}, 200)])
@@ -107,7 +123,12 @@ BAD_SCENES = {
     "line": ('{\n  "version": "1.0",\n  "objects": {,}\n}', r"line 3: malformed JSON"),
     "repeated": ('{"version": "1.0", "objects": {"a": 1, "a": 2}}', r"the key 'a' occurs twice"),
     "list": ("[]", r"is not a JSON object"),
-    "nothing": ("", r"line 1: malformed JSON"),
+    "nothing": ("", r"is empty"),
+    "nested": ("[" * 100_000, r"nested too deeply"),
+    "nested objects": ('{"a":' * 100_000, r"nested too deeply"),
+    "digits": ('{"version": ' + "1" * 10_000 + "}", r"thousands of digits"),
+    "URL": (at(*BALL, "mesh_path", value="http://x.org/ball.obj"), r"is no path of a file"),
+    "line in a name": (at("objects", "a\nb", value={}), r"object 'a b': mesh_path: this key is missing"),
 }
 
 
@@ -168,6 +189,34 @@ def test_saved_scenes_load_the_same(tmp_path: Path) -> None:
     assert after.object_names == before.object_names
     for name in ("positions", "normals", "material", "object_offsets"):
         np.testing.assert_allclose(getattr(after, name), getattr(before, name), atol=1e-6)
+
+
+def test_a_material_for_each_face_goes_to_h5_and_not_to_json(tmp_path: Path) -> None:
+    scene = varied_scene()
+    rows = np.random.default_rng(0).uniform(0, 0.5, (len(scene.objects[1].mesh), 10)).astype(np.float32)
+    ring = scene.objects[1].model_copy(update={"face_material": rows})
+    scene = Scene(objects=(ring,), cameras=scene.cameras)
+    with pytest.raises(SceneError, match=r"varied\.json: object 'ring': .*save it as \.h5"):
+        scene.save(tmp_path / "varied.json")
+    again = Scene.load(scene.save(tmp_path / "varied.h5"))
+    np.testing.assert_allclose(SceneTriangles.from_scene(scene).material, rows)
+    assert sorted(again.triangles.material[:, 0]) == pytest.approx(sorted(rows[:, 0]), abs=1e-3)
+
+
+@pytest.mark.parametrize("change", [lambda r: r[1:], lambda r: r - 1, lambda r: r * np.nan, lambda r: r + 1])
+def test_a_material_for_each_face_is_checked(change: Callable) -> None:
+    item = varied_scene().objects[1]
+    rows = np.full((len(item.mesh), 10), 0.5, np.float32)
+    with pytest.raises(SceneError, match=r"object: face_material: "):
+        SceneObject(name="ring", mesh=item.mesh, material=item.material, face_material=change(rows))
+
+
+def test_faces_without_area_take_their_material_with_them() -> None:
+    mesh = Mesh(np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]]), np.array([[0, 1, 2], [0, 1, 1], [1, 3, 2]]))
+    rows = np.repeat([[0.1], [0.2], [0.3]], 10, axis=1).astype(np.float32)
+    grey = Material(diffuse=(0.1,) * 3, specular=(0,) * 3, roughness=1)
+    scene = Scene(objects=(SceneObject(name="a", mesh=mesh, material=grey, face_material=rows),))
+    np.testing.assert_array_equal(SceneTriangles.from_scene(scene).material[:, 0], rows[[0, 2], 0])
 
 
 def test_equal_meshes_share_a_file(tmp_path: Path) -> None:

@@ -74,14 +74,14 @@ BAD_MESHES = {
     "huge.obj": ("v 0 0 0\nv 1e60 0 0\nv 0 1 0\nf 1 2 3\n", "NaN or infinite"),
     "word.obj": ("v 0 zero 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "cannot be read"),
     "points.obj": ("v 0 0 0\n", "no faces"),
-    "empty.obj": ("", "."),
-    "text.ply": ("this is no mesh\n", "cannot be read"),
+    "empty.obj": ("", "is empty"),
+    "text.ply": ("this is no mesh\n", "is not a PLY file"),
     "index.ply": (
         "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n"
         "element face 1\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n1 0 0\n0 1 0\n3 0 1 9\n",
         "face 0 refers to a vertex outside",
     ),
-    "text.stl": ("this is no mesh\n", "."),
+    "text.stl": ("this is no mesh\n", "cannot be read as a mesh"),
     "mesh.fbx": ("", "'.fbx' is not a mesh format"),
 }
 

@@ -1,0 +1,159 @@
+"""glTF's metallic-roughness materials as rows of `SceneTriangles.material`.
+
+| Here | glTF |
+|---|---|
+| diffuse | base colour · (1 − metallic) · (1 − f), f the largest channel of F0 |
+| specular | F0 · (1 − metallic) + base colour · metallic |
+| F0 | ((ior − 1) / (ior + 1))² · specular factor · specular colour factor, at most 1; 0.04 by default |
+| roughness | roughness: both square it |
+| emitted radiance | emissive factor · emissive strength |
+
+F0 is glTF's reflectance at normal incidence, and the specular albedo here at every angle: there is no Fresnel term. The
+two albedos add up to at most 1. Textures of base colour, metallic and roughness, and emission are multiplied with the
+factors after being averaged over each triangle, vertex colours with the base colour. Of an emissive texture less than a
+tenth of its brightest triangle counts as none: what glows is invisible to the camera, and most such textures are dark
+but for a few lights. `MASK` leaves out triangles that are transparent in the mean. Without a material: grey.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from rfpp.errors import SceneError
+from rfpp.scene.readers.gltf_file import GltfFile
+from rfpp.scene.readers.gltf_schema import Material, TextureInfo
+from rfpp.scene.readers.image_texture import ImageTexture
+from rfpp.scene.readers.imported import GREY, name_of, plain_material
+from rfpp.scene.triangles import DIFFUSE, EMISSION, ROUGHNESS, SPECULAR
+
+#: Set of texture coordinates → those of each corner [F, 3, 2].
+Coordinates = Callable[[int], Float[np.ndarray, "f 3 2"]]
+
+_GLOWS = 0.1
+_OPAQUE = 0.99
+
+
+@dataclass
+class GltfMaterials:
+    """The materials of one file.
+
+    Attributes:
+        textures: how many different ones were averaged so far.
+        normal_maps: whether any was left out.
+    """
+
+    file: GltfFile
+    normal_maps: bool = False
+    _loaded: dict[tuple[int, bool], ImageTexture] = field(default_factory=dict)
+
+    @property
+    def textures(self) -> int:
+        return len(self._loaded)
+
+    def rows(
+        self,
+        index: int | None,
+        faces: int,
+        coordinates: Coordinates,
+        colours: Float[np.ndarray, "f 4"] | None,
+    ) -> tuple[Float[np.ndarray, "f 10"], Bool[np.ndarray, " f"]]:
+        """The material of each face of a primitive, and which faces are there at all.
+
+        Raises:
+            SceneError: naming the material, if light goes through it, or a texture cannot be read.
+        """
+        if index is None:
+            plain = plain_material(faces) if colours is None else metallic_roughness(colours[:, :3] * GREY, 0, 0.5)
+            return plain, np.ones(faces, bool)
+        material = self.file.entry(self.file.document.materials, index, "materials")
+        try:
+            return self._rows(material, faces, coordinates, colours)
+        except SceneError as error:
+            raise SceneError(f"material '{name_of(material.name, str(index))}': {error}") from None
+
+    def _rows(
+        self, material: Material, faces: int, coordinates: Coordinates, colours: np.ndarray | None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        pbr, extensions = material.pbr_metallic_roughness, material.extensions
+        if max(
+            extensions.transmission.transmission_factor, extensions.diffuse_transmission.diffuse_transmission_factor
+        ):
+            raise SceneError("it transmits light, which cannot be represented: make it opaque or remove what it covers")
+        self.normal_maps |= material.normal_texture is not None
+
+        base = np.tile(np.array(pbr.base_color_factor, np.float32), (faces, 1))
+        if pbr.base_color_texture is not None:
+            base *= self._means(pbr.base_color_texture, coordinates, colour=True)
+        if colours is not None:
+            base *= colours
+        metallic, roughness = (np.full(faces, value) for value in (pbr.metallic_factor, pbr.roughness_factor))
+        if pbr.metallic_roughness_texture is not None:
+            _, green, blue, _ = self._means(pbr.metallic_roughness_texture, coordinates, colour=False).T
+            metallic, roughness = metallic * blue, roughness * green
+
+        rows = metallic_roughness(base[:, :3], metallic, roughness, _reflectance(material))
+        rows[:, EMISSION] = np.multiply(material.emissive_factor, extensions.emissive_strength.emissive_strength)
+        if material.emissive_texture is not None and rows[:, EMISSION].any():
+            glow = rows[:, EMISSION] * self._means(material.emissive_texture, coordinates, colour=True)[:, :3]
+            rows[:, EMISSION] = np.where(glow.max(axis=1, keepdims=True) < _GLOWS * glow.max(), 0, glow)
+        return rows, self._present(material, base[:, 3])
+
+    @staticmethod
+    def _present(material: Material, alpha: np.ndarray) -> np.ndarray:
+        if material.alpha_mode == "BLEND" and alpha.min(initial=1) < _OPAQUE:
+            raise SceneError(
+                "it is transparent (alphaMode BLEND), which cannot be represented: make it opaque, or MASK"
+            )
+        return alpha >= material.alpha_cutoff if material.alpha_mode == "MASK" else np.ones(len(alpha), bool)
+
+    def _means(self, info: TextureInfo, coordinates: Coordinates, colour: bool) -> Float[np.ndarray, "f 4"]:
+        document, transform = self.file.document, info.extensions.transform
+        texture = self.file.entry(document.textures, info.index, "textures")
+        source = texture.extensions.webp.source if texture.extensions.webp else texture.source
+        if source is None:
+            raise SceneError(f"textures.{info.index} has no picture that can be read: export PNG or JPEG textures")
+        if (source, colour) not in self._loaded:
+            self._loaded[source, colour] = self._image(source, colour)
+        if transform is None:
+            return self._loaded[source, colour].means(coordinates(info.tex_coord))
+        uv = coordinates(info.tex_coord if transform.tex_coord is None else transform.tex_coord)
+        cos, sin = np.cos(transform.rotation), np.sin(transform.rotation)
+        turned = (uv * transform.scale) @ np.array([[cos, -sin], [sin, cos]])
+        return self._loaded[source, colour].means(turned + transform.offset)
+
+    def _image(self, index: int, colour: bool) -> ImageTexture:
+        image = self.file.entry(self.file.document.images, index, "images")
+        if image.buffer_view is not None:
+            view = self.file.entry(self.file.document.buffer_views, image.buffer_view, "bufferViews")
+            content = bytes(self.file.view(view))
+        else:
+            content = self.file.bytes_of(image.uri or "data:")
+        try:
+            return ImageTexture(content, colour)
+        except SceneError as error:
+            raise SceneError(f"images.{index}: {error}") from None
+
+
+def metallic_roughness(
+    base: Float[np.ndarray, "f 3"],
+    metallic: Float[np.ndarray, " f"] | float,
+    roughness: Float[np.ndarray, " f"] | float,
+    reflectance: Float[np.ndarray, 3] | float = 0.04,
+) -> Float[np.ndarray, "f 10"]:
+    """Rows of the table above, without emission; `reflectance` is F0."""
+    rows = np.zeros((len(base), 10), np.float32)
+    metal, dielectric = (np.broadcast_to(share, len(base))[:, None] for share in (metallic, np.subtract(1, metallic)))
+    rows[:, DIFFUSE] = base * dielectric * (1 - np.max(reflectance))
+    rows[:, SPECULAR] = reflectance * dielectric + base * metal
+    rows[:, ROUGHNESS] = np.broadcast_to(roughness, len(base))[:, None]
+    return np.clip(rows, 0, 1)
+
+
+def _reflectance(material: Material) -> Float[np.ndarray, 3]:
+    ior, specular = material.extensions.ior.ior, material.extensions.specular
+    normal = ((ior - 1) / (ior + 1)) ** 2
+    return np.minimum(np.multiply(specular.specular_color_factor, normal * specular.specular_factor), 1.0)

@@ -1,0 +1,113 @@
+"""Textures, averaged over each triangle: a network sees one material on each."""
+
+from __future__ import annotations
+
+import io
+import warnings
+
+import numpy as np
+from jaxtyping import Float
+from PIL import Image
+
+from rfpp.errors import SceneError
+
+#: Only formats whose readers run no other program.
+_FORMATS = ("PNG", "JPEG", "WEBP", "BMP", "TGA", "TIFF")
+_MAX_PIXELS = 8192 * 8192
+_KEPT = 2048  # pixels along the longer side; 64 MB
+_SIDE = 6  # cells along a triangle's side: 36 equal parts, each looked up at its centre
+_CHUNK = 50_000  # triangles at a time: 45 MB
+
+#: 8-bit sRGB → linear.
+_LINEAR = np.where(
+    np.arange(256) <= 0.04045 * 255, np.arange(256) / 255 / 12.92, ((np.arange(256) / 255 + 0.055) / 1.055) ** 2.4
+).astype(np.float32)
+
+
+class ImageTexture:
+    """A picture that repeats in u and v, with ever coarser copies.
+
+    Args:
+        content: of an image file.
+        colour: whether it holds sRGB colour, which becomes linear; else plain numbers.
+
+    Raises:
+        SceneError: without a name: no such image, a damaged or an absurdly large one.
+    """
+
+    def __init__(self, content: bytes, colour: bool) -> None:
+        levels = [_pixels(content, colour)]
+        while min(levels[-1].shape[:2]) > 1:
+            levels.append(_reduced(levels[-1], 2))
+        self._levels = levels
+
+    def means(self, uv: Float[np.ndarray, "f 3 2"]) -> Float[np.ndarray, "f 4"]:
+        """Red, green, blue and alpha of each triangle; (0, 0) is the picture's upper left corner."""
+        return np.concatenate([self._means(uv[i : i + _CHUNK]) for i in range(0, len(uv), _CHUNK)])
+
+    def _means(self, uv: np.ndarray) -> np.ndarray:
+        height, width = self._levels[0].shape[:2]
+        extent = (np.ptp(uv, axis=1) * (width, height)).max(axis=1)
+        wanted = np.log2(np.maximum(extent / _SIDE, 1))
+        level = np.minimum(np.floor(wanted), len(self._levels) - 1).astype(int)
+        points = _CENTRES @ uv
+        result = np.empty((len(uv), 4), np.float32)
+        for number in np.unique(level):
+            chosen, pixels = level == number, self._levels[number]
+            size = np.array([pixels.shape[1], pixels.shape[0]])
+            x, y = np.moveaxis(np.minimum(np.floor(points[chosen] % 1.0 * size), size - 1).astype(int), -1, 0)
+            result[chosen] = pixels[y, x].mean(axis=1)
+        return result
+
+
+def linear(srgb: np.ndarray) -> np.ndarray:
+    """8-bit sRGB as linear float32 in [0, 1]."""
+    return _LINEAR[srgb]
+
+
+def _centres() -> np.ndarray:
+    """[36, 3] barycentric coordinates of the centres of the equal parts of a triangle."""
+    cells = [(i, j) for i in range(_SIDE) for j in range(_SIDE - i)]
+    upright = np.array([(i + 1 / 3, j + 1 / 3) for i, j in cells])
+    inverted = np.array([(i + 2 / 3, j + 2 / 3) for i, j in cells if i + j < _SIDE - 1])
+    u, v = np.concatenate([upright, inverted]).T / _SIDE
+    return np.stack([1 - u - v, u, v], axis=1)
+
+
+_CENTRES = _centres()
+
+
+def _pixels(content: bytes, colour: bool) -> Float[np.ndarray, "h w 4"]:
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # bounded below, before it is decoded
+            image = Image.open(io.BytesIO(content), formats=_FORMATS)
+        if image.width * image.height > _MAX_PIXELS:
+            raise SceneError(f"an image of {image.width} x {image.height} pixels is too large: make it smaller")
+        values = np.asarray(image.convert("RGBA"))
+    except SceneError:
+        raise
+    except Image.DecompressionBombError:
+        raise SceneError("the image is too large: make it smaller") from None
+    except Exception:  # decoders raise whatever the file makes them stumble over
+        raise SceneError("is not an image that can be read: save it as PNG, JPEG or WebP") from None
+    step = -(-max(values.shape[:2]) // _KEPT)
+    rows = max(1, 512 // step) * step  # reduced by strips, so that no large copy is ever made
+    return np.concatenate([_reduced(_decoded(values[i : i + rows], colour), step) for i in range(0, len(values), rows)])
+
+
+def _decoded(values: np.ndarray, colour: bool) -> np.ndarray:
+    decoded = values.astype(np.float32) / 255
+    if colour:
+        decoded[..., :3] = linear(values[..., :3])
+    return decoded
+
+
+def _reduced(pixels: np.ndarray, step: int) -> np.ndarray:
+    """Means of blocks of step × step; the last row and column are repeated to fill theirs."""
+    if step == 1:
+        return pixels
+    height, width = pixels.shape[:2]
+    padded = np.pad(pixels, ((0, -height % step), (0, -width % step), (0, 0)), mode="edge")
+    blocks = padded.reshape(padded.shape[0] // step, step, padded.shape[1] // step, step, 4)
+    return blocks.mean(axis=(1, 3), dtype=np.float32)
