@@ -11,7 +11,7 @@ from markupsafe import Markup
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import NullFormatter
+from matplotlib.ticker import LogLocator, NullLocator, StrMethodFormatter
 
 from rfpp.evaluation.records import MODEL
 
@@ -30,11 +30,12 @@ _MAX_MARKS = 1000  # more points than these are drawn as one picture, which keep
 _PERCENTILES = (5, 25, 50, 75, 95)
 
 
-def distribution_plot(values: Mapping[str, Sequence[float]]) -> Markup:
+def distribution_plot(values: Mapping[str, Sequence[float]], may_be_log: bool) -> Markup:
     """A line per predictor: 5th to 95th percentile of its scenes thin, 25th to 75th thick, the median a dot.
 
     Args:
         values: one number per scene, by predictor, from top to bottom; those that are not finite are left out.
+        may_be_log: whether numbers far apart are drawn on a logarithmic axis, as suits errors.
     """
     with rc_context({**_STYLE, "svg.hashsalt": repr(values)}):
         figure, axes = _axes()
@@ -48,24 +49,26 @@ def distribution_plot(values: Mapping[str, Sequence[float]]) -> Markup:
         axes.set_yticks(range(len(values)), list(values), parse_math=False)
         axes.set_ylim(len(values) - 0.5, -0.5)
         axes.tick_params(axis="y", length=0)
-        _scale(axes, "x", np.concatenate([*shown.values()]))
+        if may_be_log:
+            _spread(axes, "x", np.concatenate([*shown.values()]))
         return _svg(figure)
 
 
-def size_plot(triangles: Sequence[int], values: Sequence[float], label: str) -> Markup:
+def size_plot(triangles: Sequence[int], values: Sequence[float], may_be_log: bool) -> Markup:
     """A point per scene, its number of triangles to the right; values that are not finite are left out.
 
     Args:
-        label: of the values.
+        may_be_log: as for `distribution_plot`.
     """
-    with rc_context({**_STYLE, "svg.hashsalt": repr((label, values))}):
+    with rc_context({**_STYLE, "svg.hashsalt": repr(values)}):
         figure, axes = _axes()
         finite = np.isfinite(values)
         x, y = np.asarray(triangles)[finite], np.asarray(values)[finite]
-        axes.scatter(x, y, s=7, color=_ACCENT, alpha=0.6, linewidths=0, rasterized=len(x) > _MAX_MARKS)
-        axes.set(xlabel="triangles", ylabel=label)
-        _scale(axes, "x", x)
-        _scale(axes, "y", y)
+        axes.scatter(x, y, s=10, color=_ACCENT, alpha=0.6, linewidths=0, rasterized=len(x) > _MAX_MARKS)
+        axes.set(xlabel="triangles")
+        _spread(axes, "x", x)
+        if may_be_log:
+            _spread(axes, "y", y)
         return _svg(figure)
 
 
@@ -74,10 +77,14 @@ def _axes() -> tuple[Figure, Axes]:
     return figure, figure.subplots()
 
 
-def _scale(axes: Axes, which: str, numbers: np.ndarray) -> None:
+def _spread(axes: Axes, which: str, numbers: np.ndarray) -> None:
+    """Make an axis logarithmic if its numbers are far apart."""
     if len(numbers) and numbers.min() > 0 and numbers.max() > _LOG_FROM * numbers.min():
         axes.set(**{f"{which}scale": "log"})
-        getattr(axes, f"{which}axis").set_minor_formatter(NullFormatter())
+        axis = getattr(axes, f"{which}axis")
+        axis.set_major_locator(LogLocator(subs=(1, 3)))
+        axis.set_major_formatter(StrMethodFormatter("{x:g}"))
+        axis.set_minor_locator(NullLocator())
 
 
 def _svg(figure: Figure) -> Markup:

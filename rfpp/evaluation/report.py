@@ -105,7 +105,8 @@ def report(stored: StoredEvaluation) -> bytes:
 
 def _section(stored: StoredEvaluation, split: str) -> SplitSection:
     means = {predictor: values for (of, predictor), values in stored.evaluation.means.items() if of == split}
-    names, mine = list(stored.evaluation.definitions), _of_model(stored, split)
+    names = {name: not METRICS[name].higher_is_better for name in stored.evaluation.definitions}
+    mine = _of_model(stored, split)
     by_predictor = {who: [s for s in stored.scenes[split] if s.predictor == who] for who in means}
     counted = dict.fromkeys(bucket.counted for bucket in stored.buckets)
     return SplitSection(
@@ -115,12 +116,12 @@ def _section(stored: StoredEvaluation, split: str) -> SplitSection:
         best={name: best_value(name, (values[name].mean for values in means.values())) for name in names},
         buckets={what: [b for b in stored.buckets if (b.split, b.counted) == (split, what)] for what in counted},
         distributions={
-            name: distribution_plot({who: [s.values[name] for s in of] for who, of in by_predictor.items()})
-            for name in names
+            name: distribution_plot({who: [s.values[name] for s in of] for who, of in by_predictor.items()}, is_error)
+            for name, is_error in names.items()
         },
         sizes={
-            name: size_plot([s.triangles for s in mine], [s.values[name] for s in mine], METRICS[name].label)
-            for name in names
+            name: size_plot([s.triangles for s in mine], [s.values[name] for s in mine], is_error)
+            for name, is_error in names.items()
         },
     )
 

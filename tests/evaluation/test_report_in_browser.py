@@ -105,6 +105,14 @@ def test_the_filters_hide_scenes_by_triangles(page):
     assert _shown(page) == ["a"]
 
 
+def test_a_split_can_be_chosen(page):
+    page.execute_script("document.querySelector('article').dataset.split = 'another'")
+    _choose(page, "split", "test")
+    assert len(_shown(page)) == 3
+    _choose(page, "split", "all")
+    assert len(_shown(page)) == 4
+
+
 def test_the_order_follows_the_choice(page):
     hostile = '"><img src=x onerror=alert(1)>'
     assert _shown(page) == ["b", hostile, "c", "a"]
