@@ -81,7 +81,7 @@ BAD_MESHES = {
         "element face 1\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n1 0 0\n0 1 0\n3 0 1 9\n",
         "face 0 refers to a vertex outside",
     ),
-    "text.stl": ("this is no mesh\n", "cannot be read as a mesh"),
+    "text.stl": ("this is no mesh\n", "no faces"),
     "mesh.fbx": ("", "'.fbx' is not a mesh format"),
 }
 

@@ -67,7 +67,7 @@ class GltfMaterials:
             SceneError: naming the material, if light goes through it, or a texture cannot be read.
         """
         if index is None:
-            plain = plain_material(faces) if colours is None else metallic_roughness(colours[:, :3] * GREY, 0, 0.5)
+            plain = plain_material(faces) if colours is None else metallic_roughness(colours[:, :3] * GREY, 0.0, 0.5)
             return plain, np.ones(faces, bool)
         material = self.file.entry(self.file.document.materials, index, "materials")
         try:

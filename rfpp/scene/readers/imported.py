@@ -16,6 +16,8 @@ from rfpp.scene.untrusted import one_line
 
 #: Reflectance of what the file gives no material, and the specular albedo of plastics, glass and paint.
 GREY, DIELECTRIC = 0.6, 0.04
+#: No coordinate, intensity or radiance is this large, and squares of smaller ones are still numbers.
+BEYOND = 1e30
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,7 +32,7 @@ class Part:
         smooth: whether normals are interpolated across edges flatter than 30 degrees.
 
     Raises:
-        SceneError: a face index out of range, or a vertex that is NaN or infinite.
+        SceneError: a face index out of range; a vertex or an emission that is NaN, infinite or absurdly large.
     """
 
     name: str
@@ -42,8 +44,9 @@ class Part:
     def __post_init__(self) -> None:
         if len(self.faces) and not 0 <= self.faces.min() <= self.faces.max() < len(self.vertices):
             raise SceneError(f"'{self.name}': a face refers to none of {len(self.vertices)} vertices: export it again")
-        if not np.isfinite(self.vertices).all():
-            raise SceneError(f"'{self.name}': a vertex is NaN or infinite: repair or export it again")
+        for what, values in (("a vertex", self.vertices), ("its emission", self.material)):
+            if not (np.abs(values) < BEYOND).all():
+                raise SceneError(f"'{self.name}': {what} is NaN or beyond every number: repair or export it again")
 
     def __len__(self) -> int:
         """The number of faces."""

@@ -27,7 +27,7 @@ from rfpp.scene.spec import Camera
 from rfpp.scene.triangles import EMISSION
 
 #: Mean unoccluded irradiance of the example scenes' surfaces, which are lit like training scenes.
-USUAL = 4.0
+USUAL = 2.2
 _FAINT, _DAZZLING = USUAL / 50, USUAL * 20
 
 _LAMP_EDGE, _LIGHT_EDGE, _LIGHT_DISTANCE = 0.05, 0.16, 2.4
@@ -35,7 +35,7 @@ _TETRAHEDRON = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]) / np
 _SIDES = np.array([[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]])
 
 #: Azimuth from the camera's and elevation in degrees, and radiance, which adds up to what training scenes have.
-_RIG = (("key_light", 45, 50, 2200.0), ("fill_light", -60, 35, 1200.0), ("back_light", 170, 60, 600.0))
+_RIG = (("key_light", 45.0, 50.0, 2200.0), ("fill_light", -60.0, 35.0, 1200.0), ("back_light", 170.0, 60.0, 600.0))
 _SAMPLES = 512
 
 

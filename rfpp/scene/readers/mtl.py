@@ -68,17 +68,19 @@ class ObjMaterial:
 
     def _surface(self, diffuse: Float[np.ndarray, "f 3"]) -> Float[np.ndarray, "f 10"]:
         if self.values.keys() & {"pr", "pm"}:
-            metallic, roughness = (min(max(self._number(key, value), 0), 1) for key, value in (("pm", 0), ("pr", 0.5)))
+            metallic, roughness = (
+                min(max(self._number(key, value), 0.0), 1.0) for key, value in (("pm", 0.0), ("pr", 0.5))
+            )
             return metallic_roughness(diffuse, metallic, roughness)
-        model = self._number("illum", 2)
+        model = self._number("illum", 2.0)
         share = 1.0 if model >= 3 else _HIGHLIGHT if model == 2 else 0.0
         specular = share * np.clip(self.values.get("ks", [DIELECTRIC / _HIGHLIGHT] * 3), 0, 1)
-        roughness = 1 - math.sqrt(min(max(self._number("ns", 250), 0), 1000) / 1000)
-        return metallic_roughness(diffuse, 0, roughness, specular)
+        roughness = 1 - math.sqrt(min(max(self._number("ns", 250.0), 0), 1000) / 1000)
+        return metallic_roughness(diffuse, 0.0, roughness, specular)
 
     def _require_opaque(self) -> None:
-        transparent = self._number("d", 1) < 1 or self._number("tr", 0) > 0 or "map_d" in self.maps
-        if transparent or self._number("illum", 2) in _TRANSPARENT_MODELS:
+        transparent = self._number("d", 1.0) < 1 or self._number("tr", 0.0) > 0 or "map_d" in self.maps
+        if transparent or self._number("illum", 2.0) in _TRANSPARENT_MODELS:
             raise SceneError("it is transparent (d, Tr, map_d or illum), which cannot be represented: make it opaque")
 
     def _number(self, key: str, otherwise: float) -> float:

@@ -67,7 +67,7 @@ def _from_text(content: bytes) -> Float[np.ndarray, "f 3 3"]:
             try:
                 x, y, z = map(float, tokens[1:])
             except ValueError:
-                text = one_line(line.decode("ascii", "replace"), 40)
+                text = one_line(line.decode("ascii", "replace").strip(), 40)
                 raise SceneError(f"line {line_number}: '{text}' is no vertex: export it again") from None
             numbers.extend((x, y, z))
     if len(numbers) % 9:

@@ -48,7 +48,7 @@ def read_obj(path: Path) -> ImportedScene:
             except SceneError as error:
                 raise SceneError(f"line {number}: {error}") from None
             except (ValueError, OverflowError):
-                text = one_line(line.decode("utf-8", "replace"), 40)
+                text = one_line(line.decode("utf-8", "replace").strip(), 40)
                 raise SceneError(f"line {number}: '{text}' cannot be read: export it again") from None
     return ImportedScene(path.stem, tuple(reader.parts(path)))
 
