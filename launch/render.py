@@ -1,115 +1,134 @@
-"""Render a scene file with a trained network.
+"""Render scene files with a trained network: pictures from their cameras, or films.
 
     python launch/render.py scene=data/scenes/cornell_box.json \\
         checkpoint=data/runs/quickstart/latest/checkpoints/best.ckpt
+    python launch/render.py scene=data/scenes/cornell_box.json checkpoint=… motion=turntable tone_map=agx
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from functools import partial
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
 
 from rfpp import Renderer, Scene
-from rfpp.entry import CONFIG_DIR, entry_point, required
+from rfpp.entry import CONFIG_DIR, entry_point
 from rfpp.errors import UserError
-from rfpp.exr import write_exr
-from rfpp.panels import error_map, panel, save_png, tone_mapped
-from rfpp.reference.cycles import CyclesSettings
-from rfpp.reference.cycles import render as path_trace
-from rfpp.reference.farm import RenderFarm
-from rfpp.scene.packed import PackedScene, pack
+from rfpp.inference.film import Film
+from rfpp.inference.gbuffers import GBufferSource
+from rfpp.inference.layers import exr_layers
+from rfpp.inference.motion.frames import with_cameras
+from rfpp.inference.references import path_traced
+from rfpp.inference.request import Request
+from rfpp.inference.stills import write_comparison, write_still
+from rfpp.inference.video import encoder, write_video
+from rfpp.inference.writing import written_beside
+from rfpp.metrics.flip import flip_library
+from rfpp.progress import counting
+from rfpp.reference.cycles import CyclesSettings, require_blender
+from rfpp.scene.packed import PackedScene
+from rfpp.tone_maps import ToneMap
 from rfpp.training.run import write_config
 from rfpp.training.tracking.registry import checkpoint_file
 
 
 @entry_point("render", CONFIG_DIR / "render")
 def main(cfg: DictConfig) -> list[Path]:
-    """Render `cfg.scene` with `cfg.checkpoint`; returns the EXR files, one for each camera."""
-    console = Console(highlight=False, soft_wrap=True)
-    scene = with_cameras(pack(Scene.load(required(cfg, "scene"))), cfg.cameras)
-    checkpoint = checkpoint_file(required(cfg, "checkpoint"), cfg.registry.tracking_uri, Path(cfg.registry.folder))
-    renderer = Renderer.load(checkpoint, cfg.device, cfg.precision)
-    resolution = OmegaConf.to_object(cfg.resolution) if OmegaConf.is_list(cfg.resolution) else cfg.resolution
-    height, width = renderer.image_size(tuple(resolution) if isinstance(resolution, list) else resolution)
+    """Render `cfg.scene` with `cfg.checkpoint`; returns an EXR file for each camera, or an MP4 file for each scene."""
+    if missing := OmegaConf.missing_keys(cfg):
+        key = max(missing)  # the scene before the checkpoint
+        raise UserError(f"{key} is not given: add {key}=… to the command line")
+    request = Request.of(OmegaConf.to_container(cfg, resolve=True))
+    tone_map = instantiate(cfg.tone_map, stops=request.exposure)
+    motion, cycles = instantiate(cfg.get("motion")), cycles_settings(request)
+    if motion:
+        scenes = [motion.frames_of(path, request.one_camera()) for path in request.scene]
+        files = [request.film(path, motion.name) for path in request.scene]
+        encoder()  # what is not installed is missed before anything is rendered
+    else:
+        scenes = [with_cameras(Scene.load(path), request.cameras) for path in request.scene]
+        files = [request.stills(path, len(scene.fov)) for path, scene in zip(request.scene, scenes, strict=True)]
 
-    begin = time.perf_counter()
-    targets = output_files(Path(cfg.output), Path(cfg.scene).stem, len(scene.fov))
-    images = written_beside(renderer.views(scene, (height, width)), targets)
-    console.print(f"{scene.name}: {len(images)} views of {width} x {height} in {time.perf_counter() - begin:.2f} s")
-    if cfg.reference:
-        settings = OmegaConf.load(CONFIG_DIR / "reference" / f"{cfg.reference_settings}.yaml")
-        references = reference_images(scene, height, width, instantiate(settings), console)
-        for image, reference, target in zip(images, references, targets, strict=True):
-            write_pictures(reference, target.with_name(f"{target.stem}_reference.exr"))
-            columns = {
-                "path-traced reference": [tone_mapped(reference)],
-                "prediction": [tone_mapped(image)],
-                "error": [error_map(image, reference)],
-            }
-            save_png(panel(columns), target.with_name(f"{target.stem}_comparison.png"))
-    write_config(cfg, targets[0].parent, f"{Path(cfg.scene).stem}.yaml")
-    console.print("\n".join(f"  {target}, {target.with_suffix('.png').name}" for target in targets))
-    return targets
+    checkpoint = checkpoint_file(cfg.checkpoint, cfg.registry.tracking_uri, Path(cfg.registry.folder))
+    renderer = Renderer.load(checkpoint, request.device, cfg.precision)
+    size = renderer.image_size(request.resolution)
+    studio = Studio(renderer, size, request, tone_map, cycles, Console(highlight=False, soft_wrap=True))
+    written: list[Path] = []
+    for path, scene, file in zip(request.scene, scenes, files, strict=True):
+        written += [studio.film(scene, file)] if motion else studio.stills(scene, file)
+        write_config(cfg, written[-1].parent, f"{path.stem}.yaml")
+    return written
 
 
-def with_cameras(scene: PackedScene, wanted: list[int] | None) -> PackedScene:
-    """The scene with only the wanted cameras. Raises UserError when one does not exist."""
-    if wanted is None:
-        return scene
-    if not wanted or min(wanted) < 0 or max(wanted) >= len(scene.fov):
-        raise UserError(f"cameras={list(wanted)}: the scene has cameras 0…{len(scene.fov) - 1}: choose among them")
-    return scene.views(wanted)
+@dataclass(frozen=True)
+class Studio:
+    """What the pictures of one command have in common; `cycles` are settings of the path tracer if it renders too."""
+
+    renderer: Renderer
+    size: tuple[int, int]
+    request: Request
+    tone_map: ToneMap
+    cycles: CyclesSettings | None
+    console: Console
+
+    def stills(self, scene: PackedScene, files: Sequence[Path]) -> Sequence[Path]:
+        """A picture from each camera."""
+        samples, layers = self.request.light_samples, self.request.layers
+        gbuffer = GBufferSource(layers).of(scene, *self.size, samples)
+
+        def write(image, view: int) -> None:
+            write_still(image, files[view], self.tone_map, exr_layers(gbuffer(view), layers))
+
+        begin = time.perf_counter()
+        views = self.renderer.views(scene, self.size, light_samples=samples)
+        images = list(written_beside(views, range(len(files)), write))
+        many = f"{len(files)} view{'s' * (len(files) > 1)} of {self.size[1]} x {self.size[0]}"
+        self.console.print(f"{scene.name}: {many} in {time.perf_counter() - begin:.2f} s")
+        notes = [""] * len(files)
+        if self.cycles:
+            with self.console.status(f"Path tracing {many} at {self.cycles.samples} samples …"):
+                [(references, seconds)] = path_traced([scene], self.size, self.cycles)
+            self.console.print(f"{scene.name}: reference of {self.cycles.samples} samples in {seconds:.2f} s")
+            compared = zip(images, references, files, strict=True)
+            notes = [f": FLIP {write_comparison(*three, self.tone_map):.3f}" for three in compared]
+        for file, note in zip(files, notes, strict=True):
+            self.console.print(f"  {file}, {file.with_suffix('.png').name}{note}")
+        return files
+
+    def film(self, frames: Sequence[PackedScene], file: Path) -> Path:
+        """A film, whose frames stay in a folder of its name: the same command goes on with those that are missing."""
+        film, begin, say = Film(frames, file.with_suffix(""), self.size), time.perf_counter(), self.console.print
+        with counting(self.console, "frames") as (show, _):
+            made = film.render(self.renderer, self.request.light_samples, show)
+        took = f"{made} rendered in {time.perf_counter() - begin:.2f} s"
+        say(f"{file.stem}: {len(frames)} frames of {self.size[1]} x {self.size[0]}, {took}")
+        say(f"  {write_video(film.pictures(self.tone_map), file, self.request.fps)}, frames in {film.folder}")
+        if self.cycles:
+            begin = time.perf_counter()
+            with counting(self.console, "references") as (show, _):
+                made = film.path_trace(self.cycles, show)
+            took = f"{made} of {self.cycles.samples} samples path-traced in {time.perf_counter() - begin:.2f} s"
+            say(f"{file.stem}: {took}; flicker {film.flicker():.3f} of the reference's own change")
+            beside = file.with_name(f"{file.stem}_comparison.mp4")
+            say(f"  {write_video(film.comparison(self.tone_map), beside, self.request.fps)}")
+        return file
 
 
-def output_files(output: Path, stem: str, views: int) -> list[Path]:
-    """One EXR path for each view: `output` itself where it names the file of a single view, else numbered."""
-    if output.suffix == ".exr":
-        if views == 1:
-            return [output]
-        output, stem = output.parent, output.stem
-    return [output / f"{stem}_{view}.exr" for view in range(views)]
-
-
-def written_beside(images: Iterable[np.ndarray], targets: Sequence[Path]) -> list[np.ndarray]:
-    """The images, each written by a thread while the next one is rendered."""
-    kept: list[np.ndarray] = []
-    with ThreadPoolExecutor(1, "writing") as beside:
-        writing = None
-        for image, target in zip(images, targets, strict=True):
-            if writing:
-                writing.result()  # raises what went wrong: nothing more is rendered for a full disk
-            writing = beside.submit(write_pictures, image, target)
-            kept.append(image)
-        writing.result()
-    return kept
-
-
-def write_pictures(radiance: np.ndarray, target: Path) -> None:
-    """Linear radiance as half-float EXR, and tone-mapped as PNG beside it."""
-    write_exr(target, {"RGB": np.ascontiguousarray(radiance.astype(np.float16))})
-    save_png(tone_mapped(radiance), target.with_suffix(".png"))
-
-
-def reference_images(
-    scene: PackedScene, height: int, width: int, settings: CyclesSettings, console: Console
-) -> np.ndarray:
-    """The same views path-traced by Blender Cycles, in a worker process of its own."""
-    job = partial(path_trace, c2w=scene.c2w, fov=scene.fov, height=height, width=width, settings=settings)
-    begin = time.perf_counter()
-    with console.status(f"Path tracing {len(scene.fov)} views at {settings.samples} samples …"), RenderFarm(1) as farm:
-        [(_, images)] = farm.map(job, [scene.triangles])
-    if isinstance(images, Exception):
-        raise images
-    console.print(f"{scene.name}: reference of {settings.samples} samples in {time.perf_counter() - begin:.1f} s")
-    return images
+def cycles_settings(request: Request) -> CyclesSettings | None:
+    """How references are path-traced, if any are wanted. Raises UserError: no such settings, or a missing program."""
+    if not request.reference:
+        return None
+    files = {file.stem: file for file in sorted((CONFIG_DIR / "reference").glob("*.yaml"))}
+    if request.reference_settings not in files:
+        raise UserError(f"reference_settings={request.reference_settings}: choose from {', '.join(files)}")
+    require_blender()
+    flip_library()
+    return instantiate(OmegaConf.load(files[request.reference_settings]))
 
 
 if __name__ == "__main__":

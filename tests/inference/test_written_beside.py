@@ -6,23 +6,25 @@ from threading import Event
 import numpy as np
 import pytest
 
-import launch.render
-from launch.render import written_beside
 from rfpp.exr import read_exr
+from rfpp.inference.stills import write_still
+from rfpp.inference.writing import written_beside
+from rfpp.tone_maps import Perceptual
 
 IMAGES = np.random.default_rng(0).uniform(0, 1, (4, 8, 8, 3)).astype(np.float32)
 
 
 def test_every_image_is_written_to_its_own_file(tmp_path):
     targets = [tmp_path / f"{i}.exr" for i in range(4)]
-    kept = written_beside(iter(IMAGES), targets)
+    tone_map = Perceptual()
+    kept = list(written_beside(iter(IMAGES), targets, lambda image, target: write_still(image, target, tone_map)))
     np.testing.assert_array_equal(kept, IMAGES)
     for target, image in zip(targets, IMAGES, strict=True):
         np.testing.assert_array_equal(read_exr(target)["RGB"], image.astype(np.float16))
         assert target.with_suffix(".png").exists()
 
 
-def test_an_image_is_written_while_the_next_one_is_rendered(monkeypatch):
+def test_an_image_is_written_while_the_next_one_is_rendered():
     begun, finish = Event(), Event()
 
     def write(image, target):
@@ -35,11 +37,10 @@ def test_an_image_is_written_while_the_next_one_is_rendered(monkeypatch):
         finish.set()
         yield IMAGES[1]
 
-    monkeypatch.setattr(launch.render, "write_pictures", write)
-    assert len(written_beside(rendering(), ["a", "b"])) == 2
+    assert len(list(written_beside(rendering(), ["a", "b"], write))) == 2
 
 
-def test_nothing_more_is_rendered_for_a_full_disk(monkeypatch):
+def test_nothing_more_is_rendered_for_a_full_disk():
     rendered = []
 
     def write(image, target):
@@ -50,7 +51,10 @@ def test_nothing_more_is_rendered_for_a_full_disk(monkeypatch):
             rendered.append(number)
             yield image
 
-    monkeypatch.setattr(launch.render, "write_pictures", write)
     with pytest.raises(OSError, match="No space left"):
-        written_beside(rendering(), list("abcd"))
+        list(written_beside(rendering(), list("abcd"), write))
     assert rendered == [0, 1]
+
+
+def test_no_images_are_no_work():
+    assert list(written_beside([], [], print)) == []

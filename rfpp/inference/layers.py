@@ -1,0 +1,44 @@
+"""What a camera sees first, as layers of an EXR file that compositing programs know by their names."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from rfpp.errors import UserError
+from rfpp.gbuffer.first_hit import CHANNELS, COLOUR_CHANNELS
+
+#: Layers whose values half precision would round visibly.
+_FLOAT32 = ("depth", "position")
+
+
+def checked_layers(names: Sequence[str]) -> tuple[str, ...]:
+    """The names. Raises UserError at one that is no G-buffer channel, or that occurs twice."""
+    if unknown := [name for name in names if name not in CHANNELS]:
+        raise UserError(f"layers: '{unknown[0]}' does not exist: choose from {', '.join(CHANNELS)}")
+    if len(set(names)) < len(names):
+        raise UserError(f"layers: {list(names)} names one twice: give each once")
+    return tuple(names)
+
+
+def exr_layers(stacked: Float[np.ndarray, "c h w"], names: Sequence[str]) -> dict[str, np.ndarray]:
+    """G-buffer channels by the names of EXR files: albedo.R, normal.X, depth.Z, roughness.Y (luminance), …
+
+    Args:
+        stacked: of `rfpp.gbuffer.first_hit.stack_channels`.
+        names: of its channels, in order.
+    """
+    layers: dict[str, np.ndarray] = {}
+    planes = iter(stacked)
+    for name in names:
+        if name in COLOUR_CHANNELS:
+            components = "RGB"
+        elif CHANNELS[name] == 3:
+            components = "XYZ"
+        else:
+            components = "Z" if name == "depth" else "Y"
+        dtype = np.float32 if name in _FLOAT32 else np.float16
+        layers |= {f"{name}.{component}": next(planes).astype(dtype) for component in components}
+    return layers

@@ -1,0 +1,50 @@
+"""CameraPath: a flight through a scene that stays as it is."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated
+
+from pydantic import Field
+
+from rfpp.inference.motion.frames import Frames, Motion, frames_between
+from rfpp.inference.motion.key_files import CameraKey, CameraTrack, Entries, located, made_keys, read_keys
+from rfpp.scene.packed import PackedScene, pack
+from rfpp.scene.spec import Scene, Strict
+
+
+class CameraPath(Motion):
+    """The camera of a file, from its first key to its last; the scene's own cameras are not used.
+
+        camera:
+          - {time: 0, position: [0, -2, 0.6], look_at: [0, 0, 0], fov: 40}
+          - {time: 2, position: [1.5, -1.2, 0.6], look_at: [0, 0, 0], fov: 30}
+
+    Times are seconds, the rest is a camera of a scene file. Place and target run along splines through the keys.
+
+    Attributes:
+        file: YAML or JSON.
+        fps: frames per second.
+    """
+
+    file: Path
+    fps: Annotated[float, Field(gt=0, le=1000)]
+
+    @property
+    def name(self) -> str:
+        return self.file.stem
+
+    def frames_of(self, scene: Path, camera: int) -> Sequence[PackedScene]:
+        entries = read_keys(self.file, _CameraPathFile).camera
+        with located(f"{self.file}: camera"):
+            track = CameraTrack(made_keys(CameraKey, entries))
+        still, start = pack(Scene.load(scene)), track.times[0]
+        count = frames_between(start, track.times[-1], self.fps)
+        return Frames(count, lambda number: still.seen_by([track.at(start + number / self.fps)]))
+
+
+class _CameraPathFile(Strict):
+    noun = ""
+
+    camera: Entries

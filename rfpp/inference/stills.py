@@ -1,0 +1,44 @@
+"""The pictures of one view as files: what was rendered, and how it compares with a path-traced reference."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from rfpp.exr import write_exr
+from rfpp.metrics.flip import flip
+from rfpp.panels import error_map, false_colours, panel, save_png
+from rfpp.tone_maps import ToneMap
+
+Image = Float[np.ndarray, "h w 3"]
+
+
+def write_still(image: Image, target: Path, tone_map: ToneMap, layers: Mapping[str, np.ndarray] | None = None) -> None:
+    """Linear radiance as half-float EXR with further layers, and tone-mapped as PNG beside it.
+
+    Raises:
+        UserError: a file cannot be written.
+    """
+    write_exr(target, {"RGB": np.ascontiguousarray(image.astype(np.float16)), **(layers or {})})
+    save_png(tone_map(image), target.with_suffix(".png"))
+
+
+def write_comparison(image: Image, reference: Image, target: Path, tone_map: ToneMap) -> float:
+    """The reference as files like those of the image, and a sheet of both with their errors; returns the ꟻLIP.
+
+    Raises:
+        UserError: a file cannot be written.
+    """
+    write_still(reference, target.with_name(f"{target.stem}_reference.exr"), tone_map)
+    seen = flip(image, reference)
+    columns = {
+        "path-traced reference": [tone_map(reference)],
+        "prediction": [tone_map(image)],
+        "error": [error_map(image, reference)],
+        f"FLIP, mean {seen.mean():.3f}": [false_colours(seen)],
+    }
+    save_png(panel(columns), target.with_name(f"{target.stem}_comparison.png"))
+    return float(seen.mean())

@@ -1,0 +1,154 @@
+"""`launch/render.py` as it is called, with an untrained network: what it writes, says and refuses."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from edited_scenes import moved, scene
+from marks import requires_blender
+from networks import checkpoint_info, network
+from PIL import Image
+
+from rfpp import Renderer, Scene
+from rfpp.entry import CONFIG_DIR
+from rfpp.exr import read_exr
+from rfpp.inference.checkpoint import CHECKPOINT_KEY, NETWORK_PREFIX
+
+BOX = CONFIG_DIR.parent / "data" / "scenes" / "cornell_box.json"
+
+
+@pytest.fixture(scope="module")
+def checkpoint(tmp_path_factory):
+    path = tmp_path_factory.mktemp("network") / "tiny.ckpt"
+    state = {NETWORK_PREFIX + name: tensor for name, tensor in network().state_dict().items()}
+    torch.save({CHECKPOINT_KEY: checkpoint_info(resolution=(16, 16)).to_dict(), "state_dict": state}, path)
+    return path
+
+
+@pytest.fixture
+def render(composed, checkpoint, tmp_path, capsys):
+    """`render(*overrides)`: the paths returned, and what was printed."""
+    from launch.render import main
+
+    def run(*overrides: str) -> tuple[list[Path], str]:
+        where = [f"checkpoint={checkpoint}", "device=cpu", "precision=fp32", f"output={tmp_path}/out"]
+        capsys.readouterr()
+        return main.__wrapped__(composed("render", *where, *overrides)), capsys.readouterr().out
+
+    return run
+
+
+@pytest.fixture
+def refused(render, capsys):
+    """`refused(*overrides)`: the one line on stderr."""
+
+    def run(*overrides: str) -> str:
+        with pytest.raises(SystemExit) as stop:
+            render(*overrides)
+        assert stop.value.code == 1
+        [line] = [line for line in capsys.readouterr().err.splitlines() if line.startswith("error: ")]
+        return line
+
+    return run
+
+
+def test_several_scenes_with_layers_and_a_tone_map(render, tmp_path):
+    other = scene().save(tmp_path / "six.json")
+    files, said = render(
+        f"scene=[{BOX},{other}]", "cameras=[0,1]", "layers=[normal,depth,direct_diffuse]", "tone_map=agx", "exposure=1"
+    )
+    assert [file.name for file in files] == ["cornell_box_0.exr", "cornell_box_1.exr", "six_0.exr", "six_1.exr"]
+    assert "six: 2 views of 16 x 16 in" in said
+    expected = Renderer(network(), checkpoint_info()).render(Scene.load(other), (16, 16))
+    from rfpp.tone_maps import AgX
+
+    for file, image in zip(files[2:], expected[:2], strict=True):
+        layers = read_exr(file)
+        assert layers.keys() == {"RGB", "normal.X", "normal.Y", "normal.Z", "depth.Z", "direct_diffuse"}
+        np.testing.assert_array_equal(layers["RGB"], image.astype(np.float16))
+        np.testing.assert_array_equal(np.asarray(Image.open(file.with_suffix(".png"))), AgX(1.0)(image))
+    assert (tmp_path / "out" / "six.yaml").is_file()
+
+
+def test_one_view_may_have_a_name_of_its_own_and_several_are_numbered_after_it(render, tmp_path):
+    files, _ = render(f"scene={BOX}", "cameras=1", "resolution=[8,12]", f"output={tmp_path}/a/one.exr")
+    assert files == [tmp_path / "a" / "one.exr"]
+    assert read_exr(files[0])["RGB"].shape == (8, 12, 3)
+    files, _ = render(f"scene={BOX}", "resolution=8", f"output={tmp_path}/a/one.exr")
+    assert [file.name for file in files] == ["one_0.exr", "one_1.exr", "one_2.exr"]
+
+
+def test_a_turntable_is_a_film_that_is_resumed(render, tmp_path):
+    imageio_ffmpeg = pytest.importorskip("imageio_ffmpeg")
+    film = [f"scene={BOX}", "motion=turntable", "motion.frames=5", "fps=10"]
+    files, said = render(*film)
+    assert files == [tmp_path / "out" / "cornell_box_turntable.mp4"]
+    assert "5 frames of 16 x 16, 5 rendered" in said
+    assert imageio_ffmpeg.count_frames_and_secs(str(files[0]))[0] == 5
+    before = files[0].read_bytes()
+    files, said = render(*film, "tone_map=neutral")
+    assert "5 frames of 16 x 16, 0 rendered" in said
+    assert files[0].read_bytes() != before  # the same frames in another tone map
+
+
+def test_a_folder_of_numbered_scenes_is_a_film(render, tmp_path):
+    imageio_ffmpeg = pytest.importorskip("imageio_ffmpeg")
+    for number, one in enumerate((scene(), moved(scene()))):
+        one.save(tmp_path / "walk" / f"{number}.json")
+    files, _ = render(f"scene={tmp_path}/walk", "motion=numbered_scenes", f"output={tmp_path}/walk.mp4")
+    assert files == [tmp_path / "walk.mp4"]
+    assert imageio_ffmpeg.count_frames_and_secs(str(files[0]))[0] == 2
+    assert len(list((tmp_path / "walk").glob("*.exr"))) == 2
+
+
+@requires_blender
+def test_a_film_with_reference_says_how_much_it_flickers(render, tmp_path):
+    pytest.importorskip("imageio_ffmpeg")
+    keys = {"objects": {"short_box": [{"time": 0, "rotation": [0, 0, 0]}, {"time": 0.5, "rotation": [0, 0, 60]}]}}
+    (tmp_path / "turn.json").write_text(json.dumps(keys))
+    files, said = render(
+        f"scene={BOX}", "motion=keyframes", f"motion.file={tmp_path}/turn.json", "fps=4", "reference=true",
+        "reference_settings=preview",
+    )  # fmt: skip
+    assert [file.name for file in files] == ["cornell_box_turn.mp4"]
+    assert "3 of 16 samples path-traced in" in said
+    flicker = float(said.split("flicker ")[1].split()[0])
+    assert 0 < flicker < 100
+    assert (tmp_path / "out" / "cornell_box_turn_comparison.mp4").is_file()
+    assert len(list((tmp_path / "out" / "cornell_box_turn" / "reference").glob("*.exr"))) == 3
+
+
+ONE = f"scene={BOX}"
+WRONG = {
+    "a resolution that is none": ([ONE, "resolution=large"], "resolution"),
+    "a resolution of no patches": ([ONE, "resolution=18"], "does not divide into patches"),
+    "half a resolution": ([ONE, "resolution=[16]"], "resolution"),
+    "a camera that is not there": ([ONE, "cameras=[7]"], "cameras=[7]"),
+    "a camera that is no number": ([ONE, "cameras=left"], "cameras"),
+    "a layer that does not exist": ([ONE, "layers=[normals]"], "'normals' does not exist"),
+    "a device that is not there": ([ONE, "device=abacus"], "device=abacus"),
+    "an exposure that is none": ([ONE, "exposure=bright"], "exposure: "),
+    "scenes of one name": ([f"scene=[{BOX},elsewhere/cornell_box.glb]"], "render each alone"),
+    "one file for two scenes": ([f"scene=[{BOX},b.json]", "output=a.exr"], "b.json"),
+    "a picture for a film": ([ONE, "motion=turntable", "output=a.exr"], "ends in .mp4"),
+    "a film for a picture": ([ONE, "output=a.mp4"], "ends in .exr"),
+    "a film from several cameras": ([ONE, "motion=turntable", "cameras=[0,1]"], "one camera"),
+    "a film of no frames": ([ONE, "motion=turntable", "motion.frames=0"], "motion.frames"),
+    "a film at no rate": ([ONE, "motion=turntable", "fps=0"], "fps"),
+    "a path without a file": ([ONE, "motion=camera_path"], "motion.file is not given"),
+    "a path whose file is missing": ([ONE, "motion=camera_path", "motion.file=absent.yaml"], "absent.yaml"),
+    "keyframes whose file is missing": ([ONE, "motion=keyframes", "motion.file=absent.yaml"], "absent.yaml"),
+    "numbered scenes that are one": ([ONE, "motion=numbered_scenes"], "is not a folder"),
+    "other settings of the reference": ([ONE, "reference=true", "reference_settings=best"], "reference_settings=best"),
+    "a reference that is neither wanted nor not": ([ONE, "reference=perhaps"], "reference"),
+    "no scene": (["scene=[]"], "scene"),
+    "a scene that is not there": (["scene=absent.json"], "absent.json"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("overrides", "named"), WRONG.values(), ids=WRONG.keys())
+def test_each_wrong_value_is_one_line_and_nothing_is_written(overrides, named, refused, tmp_path):
+    assert named in refused(*overrides)
+    assert not (tmp_path / "out").exists()
