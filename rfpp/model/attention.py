@@ -18,12 +18,13 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from rfpp.batch import Segments
+from rfpp.model.tiled_attention import TiledAttention
 
 #: Segments are padded to multiples of this and taken in powers of two. On a CPU every new shape of a matrix product
 #: costs a compilation (oneDNN), so the shapes must recur from batch to batch.
 GRANULARITY = 32
-#: Up to this many scores per head, plain matrix products beat PyTorch's fused kernel on a CPU in bfloat16.
-SMALL_ATTENTION = 512 * 512
+#: Up to this many scores per head are held at once on a CPU in bfloat16, which is faster than computing them twice.
+SMALL_ATTENTION = 256 * 256
 
 
 class AttentionPattern:
@@ -193,9 +194,13 @@ def attend_bucketed(q: Tensor, k: Tensor, v: Tensor, pattern: AttentionPattern) 
 
 
 def _attend_dense(q: Tensor, k: Tensor, v: Tensor, mask: Tensor | None) -> Tensor:
-    """[b, H, L, D] each; `mask` [b, 1, 1, Lk], True = real."""
-    if q.is_cuda or q.shape[-2] * k.shape[-2] > SMALL_ATTENTION:
+    """[b, H, L, D] each; `mask` [b, 1, 1, Lk], True = real. Each case has what is fastest there, by measurement."""
+    if q.is_cuda or q.dtype == torch.float32:
         return F.scaled_dot_product_attention(q, k, v, attn_mask=mask)
+    if q.shape[-2] * k.shape[-2] > SMALL_ATTENTION:
+        real = None if mask is None else mask[:, 0].repeat_interleave(q.shape[1], dim=0)
+        out = TiledAttention.apply(*(x.flatten(0, 1) for x in (q, k, v)), real)
+        return out.unflatten(0, q.shape[:2])
     scores = (q * q.shape[-1] ** -0.5) @ k.transpose(-1, -2)
     if mask is not None:
         scores = scores.masked_fill(~mask, float("-inf"))

@@ -3,25 +3,13 @@
 import numpy as np
 import pytest
 import torch
+from attention_inputs import random_qkv, values_and_gradients
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from marks import requires_gpu
 
 from rfpp.batch import Segments
 from rfpp.model.attention import AttentionPattern, attend, attend_bucketed, attend_loop, attend_varlen
-
-
-def values_and_gradients(backend, q, k, v, pattern):
-    leaves = [t.clone().requires_grad_() for t in (q, k, v)]
-    out = backend(*leaves, pattern)
-    weights = torch.linspace(-1, 1, out.numel(), device=out.device).view_as(out)
-    (out.float() * weights).sum().backward()
-    return [out.detach(), *(t.grad for t in leaves)]
-
-
-def random_qkv(queries, keys, heads=2, dim=8, seed=0):
-    g = torch.Generator().manual_seed(seed)
-    return [torch.randn(n, heads, dim, generator=g) for n in (queries.total, keys.total, keys.total)]
 
 
 @settings(max_examples=60, deadline=None)
