@@ -112,7 +112,7 @@ class Studio:
             begin = time.perf_counter()
             with counting(self.console, "references") as (show, _):
                 made = film.path_trace(self.cycles, show)
-            took = f"{made} of {self.cycles.samples} samples path-traced in {time.perf_counter() - begin:.2f} s"
+            took = f"{made} path-traced at {self.cycles.samples} samples in {time.perf_counter() - begin:.2f} s"
             say(f"{file.stem}: {took}; flicker {film.flicker():.3f} of the reference's own change")
             beside = file.with_name(f"{file.stem}_comparison.mp4")
             say(f"  {write_video(film.comparison(self.tone_map), beside, self.request.fps)}")

@@ -113,7 +113,7 @@ def test_a_film_with_reference_says_how_much_it_flickers(render, tmp_path):
         "reference_settings=preview",
     )  # fmt: skip
     assert [file.name for file in files] == ["cornell_box_turn.mp4"]
-    assert "3 of 16 samples path-traced in" in said
+    assert "3 path-traced at 16 samples in" in said
     flicker = float(said.split("flicker ")[1].split()[0])
     assert 0 < flicker < 100
     assert (tmp_path / "out" / "cornell_box_turn_comparison.mp4").is_file()

@@ -1,7 +1,9 @@
-"""Turntable: once around a scene."""
+"""Turntable and Swing: around a scene, or to and fro before it."""
 
 from __future__ import annotations
 
+import math
+from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -17,31 +19,61 @@ from rfpp.scene.spec import Scene
 from rfpp.scene.triangles import SceneTriangles
 
 
-class Turntable(Motion):
-    """The camera goes once around the vertical axis through the middle of the scene, counter-clockwise from above.
+class _Orbit(Motion):
+    """The camera moves about the vertical axis through the middle of the scene.
 
-    It keeps its height, its distance from the axis and what it looks at on it: the first frame is the camera's own, and
+    It keeps its height, its distance from the axis and what it looks at on it. The first frame is the camera's own, and
     the one after the last would be the first again, so that the film can be looped.
-
-    Attributes:
-        frames: of one turn.
     """
 
     frames: Annotated[int, Field(ge=1)]
 
-    @property
-    def name(self) -> str:
-        return "turntable"
+    @abstractmethod
+    def _angle(self, share: float) -> float:
+        """In radians, counter-clockwise from above, after this share of the film."""
 
     def frames_of(self, scene: Path, camera: int) -> Sequence[PackedScene]:
         start = with_cameras(Scene.load(scene), [camera])
         middle = _middle(start.triangles)
 
         def at(number: int) -> PackedScene:
-            turn = _about_vertical(2 * np.pi * number / self.frames, middle)
+            turn = _about_vertical(self._angle(number / self.frames), middle)
             return replace(start, c2w=(turn @ start.c2w.astype(np.float64)).astype(np.float32))
 
         return Frames(self.frames, at)
+
+
+class Turntable(_Orbit):
+    """Once around the scene, at even speed.
+
+    Attributes:
+        frames: of the turn.
+    """
+
+    @property
+    def name(self) -> str:
+        return "turntable"
+
+    def _angle(self, share: float) -> float:
+        return 2 * math.pi * share
+
+
+class Swing(_Orbit):
+    """To one side, to the other and back, for scenes that have walls behind them.
+
+    Attributes:
+        frames: of the whole way.
+        degrees: from one side to the other.
+    """
+
+    degrees: Annotated[float, Field(gt=0, le=360)]
+
+    @property
+    def name(self) -> str:
+        return "swing"
+
+    def _angle(self, share: float) -> float:
+        return math.radians(self.degrees) / 2 * math.sin(2 * math.pi * share)
 
 
 def _middle(triangles: SceneTriangles) -> Float[np.ndarray, " 3"]:

@@ -8,7 +8,7 @@ from edited_scenes import scene
 
 from rfpp import Scene
 from rfpp.errors import SceneError, UserError
-from rfpp.inference.motion import CameraPath, Keyframes, NumberedScenes, Turntable
+from rfpp.inference.motion import CameraPath, Keyframes, NumberedScenes, Swing, Turntable
 from rfpp.inference.motion.frames import with_cameras
 from rfpp.scene.camera import camera_to_world
 from rfpp.scene.h5 import save_h5
@@ -70,6 +70,15 @@ class TestTurntable:
     def test_a_turn_of_no_frames_is_refused(self, frames):
         with pytest.raises(SceneError, match=r"^motion\.frames: "):
             Turntable(frames=frames)
+
+
+def test_a_swing_goes_to_both_sides_and_comes_back(file):
+    frames = Swing(frames=8, degrees=40).frames_of(file, camera=1)
+    pose = frames[0].c2w[0].astype(np.float64)
+    np.testing.assert_array_equal(pose, pack(Scene.load(file)).c2w[1])
+    for number, angle in ((2, 20.0), (4, 0.0), (6, -20.0)):
+        turned = frames[number].c2w[0] @ np.linalg.inv(pose)
+        np.testing.assert_allclose(turned[:3, :3], rotation_matrix((0.0, 0.0, angle)), atol=1e-6)
 
 
 class TestCameraPath:
