@@ -51,7 +51,8 @@ def load_scene(path: Path) -> Scene:
     with _located(f"{path}"):
         entry = _SceneEntry(**parse_json(read_bytes(path, MAX_JSON_BYTES), "a scene in RenderFormer JSON v1.0"))
         if entry.version != VERSION:
-            raise SceneError(f"version: '{entry.version}' cannot be read, only '{VERSION}': convert the file")
+            raise SceneError(f"version: '{one_line(entry.version)}' cannot be read, only '{VERSION}': convert the file")
+        _require_printable(entry.scene_name)
         meshes: dict[Path, Mesh] = {}
         objects = tuple(_object(name, values, path.parent, meshes) for name, values in entry.objects.items())
         require_bounded(sum(len(item.mesh) for item in objects))
@@ -106,6 +107,7 @@ def _save_meshes(meshes: list[Mesh], names: list[str], scene_path: Path) -> list
 
 def _object(name: str, values: dict[str, Any], folder: Path, meshes: dict[Path, Mesh]) -> SceneObject:
     with _located(f"object '{one_line(name)}'"):
+        _require_printable(name)
         entry = _ObjectEntry(**values)
         mesh_path = beside(folder, entry.mesh_path)
         if mesh_path not in meshes:
@@ -117,6 +119,12 @@ def _object(name: str, values: dict[str, Any], folder: Path, meshes: dict[Path, 
             material=Material(**entry.material),
             transform=Transform(**entry.transform),
         )
+
+
+def _require_printable(name: str) -> None:
+    """Names stand in messages and file names. Raises SceneError for line ends and half characters."""
+    if not name.isprintable():
+        raise SceneError(f"the name '{one_line(name)}' has characters that cannot be printed: rename it")
 
 
 def _cameras(entries: tuple[dict[str, Any], ...]) -> Iterator[Camera]:

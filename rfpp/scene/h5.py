@@ -12,6 +12,7 @@ Ours add `object_index` [M] int32, the object each triangle belongs to, which ot
 from __future__ import annotations
 
 import io
+import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -35,6 +36,7 @@ from rfpp.scene.texture import (
     mean_material,
 )
 from rfpp.scene.triangles import SceneTriangles
+from rfpp.scene.untrusted import one_line, require_bounded
 
 #: Data set → shape; M triangles, P cells along a patch, V cameras.
 _SHAPES = {
@@ -51,6 +53,8 @@ _CHUNK = (1024, 2, 4, 8)  # of patches compressed together: 75 bytes a triangle,
 _COMPRESSION = {"compression": "gzip", "compression_opts": 9, "shuffle": True}
 _SLAB = 1024  # patches in memory at a time: 27 MB; all of a large scene's are gigabytes
 _NEAR, _FAR = 0.05, 5.0
+_MAX_PATCH = 128
+_MOST_COMPRESSED = 1100  # deflate makes nothing smaller than a thousandth of itself
 
 
 def load_h5(path: Path) -> PackedScene:
@@ -64,7 +68,7 @@ def load_h5(path: Path) -> PackedScene:
     """
     with _opened(path) as file:
         _check_shapes(file)
-        arrays = {name: _finite(name, file[name][()]).astype(np.float32) for name in _SHAPES if name != "texture"}
+        arrays = {name: _finite(name, file[name][()]) for name in _SHAPES if name != "texture"}
         material, texture = _material(file["texture"])
         objects = _stored_objects(file) if _OBJECTS in file else _connected(arrays["triangles"], material)
 
@@ -138,16 +142,27 @@ def _opened(path: Path) -> Iterator[h5py.File]:
     try:
         with h5py.File(path) as file:
             yield file
-    except OSError as error:
-        raise SceneError(f"{path}: cannot be read as HDF5 ({error}): correct the path or copy the file again") from None
     except SceneError as error:
         raise SceneError(f"{path}: {error}") from None
+    except (OSError, KeyError, RuntimeError, ValueError, TypeError) as error:  # all of them h5py's, of damaged files
+        reason = one_line(str(error))
+        raise SceneError(
+            f"{path}: cannot be read as HDF5 ({reason}): correct the path or copy the file again"
+        ) from None
 
 
 def _dataset(file: h5py.File, name: str, fix: str) -> h5py.Dataset:
+    """Numbers in this very file, no more than its size can hold."""
     if name not in file or not isinstance(file[name], h5py.Dataset):
         raise SceneError(f"the data set '{name}' is missing: {fix}")
-    return file[name]
+    dataset = file[name]
+    if not isinstance(file.get(name, getlink=True), h5py.HardLink) or dataset.external or dataset.is_virtual:
+        raise SceneError(f"{name}: its content lies in another file: copy it into this one")
+    if dataset.dtype.kind not in "fiu" or dataset.ndim == 0:
+        raise SceneError(f"{name}: {dataset.dtype} where an array of numbers was expected: convert the scene again")
+    if dataset.nbytes > _MOST_COMPRESSED * os.path.getsize(file.filename):
+        raise SceneError(f"{name}: {dataset.nbytes:,} bytes are claimed, more than it holds: convert the scene again")
+    return dataset
 
 
 def _check_shapes(file: h5py.File) -> None:
@@ -162,9 +177,16 @@ def _check_shapes(file: h5py.File) -> None:
             raise SceneError(f"{name}: shape {found} where {shape} with {sizes} was expected: convert it again")
     if not sizes["M"]:
         raise SceneError("triangles: the scene is empty")
+    require_bounded(sizes["M"])
+    if not 1 <= sizes["P"] <= _MAX_PATCH:
+        raise SceneError(f"texture: patches of {sizes['P']} cells a side: give 1 to {_MAX_PATCH}")
 
 
 def _finite(name: str, array: np.ndarray) -> np.ndarray:
+    """As float32, or as half precision that it is in."""
+    if array.dtype != np.float16:
+        with np.errstate(over="ignore"):  # what becomes infinite is refused
+            array = array.astype(np.float32)
     if not np.isfinite(array).all():
         raise SceneError(f"{name}: holds NaN or infinity: convert the scene again")
     return array
@@ -222,7 +244,7 @@ def _projections(scene: PackedScene, height: int, width: int) -> Float[np.ndarra
 
 def _stored_objects(file: h5py.File) -> Int[np.ndarray, " m"]:
     """The objects as written by `save_h5`, numbered from 0."""
-    index = file[_OBJECTS][()]
+    index = _dataset(file, _OBJECTS, "convert the scene again")[()]
     if index.shape != file["triangles"].shape[:1] or index.dtype.kind not in "iu":
         raise SceneError(f"{_OBJECTS}: {index.dtype} {index.shape} where one integer a triangle was expected")
     return np.unique(index, return_inverse=True)[1].reshape(-1)

@@ -78,7 +78,7 @@ def _imported(path: Path, up: UpAxis | None) -> Scene:
     try:
         scene = _folder(path, up) if path.is_dir() else _file(path, up)
         require_bounded(sum(map(len, scene.parts)))
-        scene = framed(scene, path)
+        scene = framed(replace(scene, parts=tuple(part for part in scene.parts if len(part))), path)
         cameras = scene.cameras
         if not cameras:
             warnings.warn(f"{path}: it has no camera: one is added, in front and above", stacklevel=4)
@@ -131,7 +131,7 @@ def _objects(parts: list[Part], path: Path) -> Iterator[SceneObject]:
         low, high = part.vertices.min(axis=0), part.vertices.max(axis=0)
         centre = (low + high) / 2
         mesh = Mesh(part.vertices - centre, part.faces)
-        solid = has_area(mesh)
+        solid = has_area(Mesh(mesh.vertices + centre, part.faces))  # where it stands: numbers are coarser there
         if not solid.any():
             warnings.warn(f"{path}: '{part.name}' has no area and is left out", stacklevel=4)
             continue

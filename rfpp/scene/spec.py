@@ -17,6 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from rfpp.errors import SceneError
 from rfpp.scene.mesh import Mesh
+from rfpp.scene.untrusted import one_line
 
 if TYPE_CHECKING:
     from rfpp.scene.packed import PackedScene
@@ -209,7 +210,7 @@ class Scene(Strict):
 def first_problem(error: ValidationError, noun: str = "") -> str:
     """The first validation problem as `noun.key.path: what is wrong`, without pydantic's decoration."""
     problem = error.errors(include_url=False)[0]
-    where = ".".join(filter(None, [noun, *map(str, problem["loc"])]))
+    where = one_line(".".join(filter(None, [noun, *map(str, problem["loc"])])))
     match problem["type"]:
         case "extra_forbidden":
             what = "unknown key: remove it or correct its spelling"

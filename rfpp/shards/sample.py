@@ -101,6 +101,8 @@ def decode(key: str, members: Mapping[str, bytes], choose: ViewChoice | None = N
     """
     try:
         meta = json.loads(members["meta.json"])
+        if not isinstance(meta, dict):
+            raise ValueError("meta.json is no object")
         if meta.pop("schema_version", None) != SCHEMA_VERSION:
             raise ShardError(f"{key}: not of schema version {SCHEMA_VERSION}: generate the data again")
         geometry = load_arrays(members["geometry.safetensors"])
@@ -118,6 +120,7 @@ def decode(key: str, members: Mapping[str, bytes], choose: ViewChoice | None = N
             object_offsets=geometry["object_offsets"],
             object_names=tuple(meta.pop("objects")),
         )
+        _require_whole(triangles, cameras)
         return SceneSample(
             key=key,
             triangles=triangles,
@@ -129,8 +132,23 @@ def decode(key: str, members: Mapping[str, bytes], choose: ViewChoice | None = N
         )
     except KeyError as error:
         raise ShardError(f"{key}: {error} is missing from the sample: generate its shard again") from error
-    except (SafetensorError, ImageFileError, ValueError) as error:
+    except (SafetensorError, ImageFileError, ValueError, TypeError, IndexError, RecursionError) as error:
         raise ShardError(f"{key}: a member is damaged ({error}): generate its shard again") from error
+
+
+def _require_whole(triangles: SceneTriangles, cameras: Mapping[str, np.ndarray]) -> None:
+    """Raises ValueError where arrays do not fit each other."""
+    count, sizes, names = len(triangles), np.diff(triangles.object_offsets), triangles.object_names
+    if triangles.positions.shape != (count, 3, 3) or triangles.normals.shape != (count, 3, 3):
+        raise ValueError("positions and normals are not of as many triangles")
+    if triangles.material.shape != (count, 10):
+        raise ValueError("material is not of as many triangles or objects")
+    if triangles.object_offsets[0] != 0 or sizes.min(initial=0) < 0 or sizes.sum() != count:
+        raise ValueError("object_offsets do not end at the number of triangles")
+    if len(names) != len(sizes) or not all(isinstance(name, str) for name in names):
+        raise ValueError("meta.json does not name every object")
+    if cameras["c2w"].shape != (*cameras["fov"].shape, 4, 4):
+        raise ValueError("c2w is not of as many views as fov")
 
 
 def _gbuffer(surface: Mapping[str, np.ndarray], light: Mapping[str, np.ndarray] | None) -> GBuffer:
