@@ -54,7 +54,7 @@ def main(cfg: DictConfig) -> list[Path]:
         scenes = [with_cameras(Scene.load(path), request.cameras) for path in request.scene]
         files = [request.stills(path, len(scene.fov)) for path, scene in zip(request.scene, scenes, strict=True)]
 
-    checkpoint = checkpoint_file(cfg.checkpoint, cfg.registry.tracking_uri, Path(cfg.registry.folder))
+    checkpoint = checkpoint_file(str(cfg.checkpoint), cfg.registry.tracking_uri, Path(cfg.registry.folder))
     renderer = Renderer.load(checkpoint, request.device, cfg.precision)
     size = renderer.image_size(request.resolution)
     studio = Studio(renderer, size, request, tone_map, cycles, Console(highlight=False, soft_wrap=True))

@@ -2,7 +2,7 @@
 
 Nothing is measured in the image: the exposure is what the caller says, so that a video does not pump, pictures of one
 scene can be compared, and a reference is shown as its prediction is. Radiance 1 is what a white surface sends back when
-light of irradiance π falls on it: the project's scenes are lit to stay around and below that.
+light of irradiance π falls on it: the project's scenes are lit to stay around and below that, highlights apart.
 """
 
 from __future__ import annotations
@@ -16,9 +16,12 @@ from torch import Tensor
 
 from rfpp.radiance import exposed, perceptual, srgb, to_8bit
 
+#: Far beyond white in every tone map, and still a number.
+_BRIGHTEST = 1e9
+
 
 class ToneMap(ABC):
-    """Linear radiance → 8 bits for an sRGB display. NaN is shown as black, as everywhere (`rfpp.radiance.to_8bit`).
+    """Linear radiance → 8 bits for an sRGB display. NaN is black, as everywhere (`rfpp.radiance.to_8bit`), ∞ white.
 
     Args:
         stops: exposure; one more doubles the radiance before anything else.
@@ -29,7 +32,7 @@ class ToneMap(ABC):
 
     def __call__(self, radiance: Float[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h w 3"]:
         linear = torch.from_numpy(np.ascontiguousarray(radiance, dtype=np.float32))
-        return to_8bit(self.display(exposed(linear, self.stops))).numpy()
+        return to_8bit(self.display(exposed(linear, self.stops).clamp(0, _BRIGHTEST))).numpy()
 
     @abstractmethod
     def display(self, radiance: Float[Tensor, "h w 3"]) -> Float[Tensor, "h w 3"]:
@@ -79,8 +82,8 @@ class AgX(ToneMap):
 
     From its definition (https://github.com/sobotka/AgX): Rec. 709's primaries are drawn towards white by a fifth; the
     logarithm of each channel, from 10 stops below middle grey to 6.5 above, goes through a sigmoid that sends middle
-    grey, 0.18, to half of the display's signal. As in later versions (https://github.com/EaryChow/AgX), colours are
-    then drawn out again by as much.
+    grey, 0.18, to half of the display's signal. Colours are then drawn out again by as much, as in most versions since
+    (https://iolite-engine.com/blog_posts/minimal_agx_implementation).
     """
 
     _GREY, _STOPS_BELOW, _STOPS_ABOVE = 0.18, 10.0, 6.5

@@ -43,8 +43,8 @@ def test_a_stop_doubles_the_radiance(kind):
 def test_pictures_of_any_layout_and_of_broken_pixels(kind):
     image = np.random.default_rng(1).random((5, 4, 3))
     np.testing.assert_array_equal(kind()(image.transpose(1, 0, 2)), kind()(image).transpose(1, 0, 2))
-    image[2, 2] = np.nan
-    assert kind()(image)[2, 2].tolist() == [0, 0, 0]
+    image[2, 2], image[3, 3], image[4, 1] = np.nan, np.inf, -0.1
+    assert [kind()(image)[place].tolist() for place in ((2, 2), (3, 3), (4, 1))] == [[0] * 3, [255] * 3, [0] * 3]
     assert kind()(image)[0, 0].any()
 
 
