@@ -100,7 +100,7 @@ def test_a_folder_of_numbered_scenes_is_a_film(render, tmp_path):
     files, _ = render(f"scene={tmp_path}/walk", "motion=numbered_scenes", f"output={tmp_path}/walk.mp4")
     assert files == [tmp_path / "walk.mp4"]
     assert imageio_ffmpeg.count_frames_and_secs(str(files[0]))[0] == 2
-    assert len(list((tmp_path / "walk").glob("*.exr"))) == 2
+    assert len(list((tmp_path / "walk_frames").glob("*.exr"))) == 2
 
 
 @requires_blender
@@ -117,7 +117,7 @@ def test_a_film_with_reference_says_how_much_it_flickers(render, tmp_path):
     flicker = float(said.split("flicker ")[1].split()[0])
     assert 0 < flicker < 100
     assert (tmp_path / "out" / "cornell_box_turn_comparison.mp4").is_file()
-    assert len(list((tmp_path / "out" / "cornell_box_turn" / "reference").glob("*.exr"))) == 3
+    assert len(list((tmp_path / "out" / "cornell_box_turn_frames" / "reference").glob("*.exr"))) == 3
 
 
 ONE = f"scene={BOX}"

@@ -9,7 +9,7 @@ from typing import Annotated
 from pydantic import Field
 
 from rfpp.inference.motion.frames import Frames, Motion, frames_between
-from rfpp.inference.motion.key_files import CameraKey, CameraTrack, Entries, located, made_keys, read_keys
+from rfpp.inference.motion.key_files import CameraTrack, Entries, read_keys
 from rfpp.scene.packed import PackedScene, pack
 from rfpp.scene.spec import Scene, Strict
 
@@ -36,9 +36,7 @@ class CameraPath(Motion):
         return self.file.stem
 
     def frames_of(self, scene: Path, camera: int) -> Sequence[PackedScene]:
-        entries = read_keys(self.file, _CameraPathFile).camera
-        with located(f"{self.file}: camera"):
-            track = CameraTrack(made_keys(CameraKey, entries))
+        track = CameraTrack(read_keys(self.file, _CameraPathFile).camera, f"{self.file}: camera")
         still, start = pack(Scene.load(scene)), track.times[0]
         count = frames_between(start, track.times[-1], self.fps)
         return Frames(count, lambda number: still.seen_by([track.at(start + number / self.fps)]))

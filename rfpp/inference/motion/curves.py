@@ -29,7 +29,8 @@ def bounded(times: Times, values: ArrayLike) -> Curve:
     values = np.asarray(values, np.float64)
     if len(times) == 1:
         return lambda time: values[0]
-    return _held(PchipInterpolator(times, values, axis=0), times)
+    curve, low, high = PchipInterpolator(times, values, axis=0), values.min(axis=0), values.max(axis=0)
+    return _held(lambda time: np.clip(curve(time), low, high), times)  # rounding would leave the keys' range
 
 
 def turning(times: Times, degrees: ArrayLike) -> Curve:

@@ -23,7 +23,8 @@ Content = TypeVar("Content", bound=Strict)
 Key = TypeVar("Key", bound=Strict)
 #: Keys as they stand in a file.
 Entries = tuple[dict[str, Any], ...]
-Time = Annotated[float, Field(ge=0)]
+#: In seconds; nobody films longer than a day.
+Time = Annotated[float, Field(ge=0, le=86400)]
 
 
 class CameraKey(Camera):
@@ -37,12 +38,19 @@ class CameraKey(Camera):
 class CameraTrack:
     """A camera that passes through keys: its place and what it looks at on splines, its angle between its keys'.
 
+    Args:
+        entries: the keys.
+        where: they stand, for messages.
+
     Raises:
-        SceneError: no key, or times that do not increase.
+        SceneError: a wrong key, none, or times that do not increase.
     """
 
-    def __init__(self, keys: Sequence[CameraKey]):
-        self.times = increasing_times(keys)
+    def __init__(self, entries: Entries, where: str):
+        self._where = where
+        with located(where):
+            keys = made_keys(CameraKey, entries)
+            self.times = increasing_times(keys)
         self._curves: dict[str, Curve] = {
             "position": flowing(self.times, [key.position for key in keys]),
             "look_at": flowing(self.times, [key.look_at for key in keys]),
@@ -50,8 +58,10 @@ class CameraTrack:
             "fov": bounded(self.times, [key.fov for key in keys]),
         }
 
-    def at(self, time: float) -> Camera:
-        return Camera(**{name: curve(time).tolist() for name, curve in self._curves.items()})
+    def at(self, time: float | int) -> Camera:
+        """Raises SceneError where the curves between keys make no camera, as one that looks along its up vector."""
+        with located(f"{self._where}, time {time:g}"):
+            return Camera(**{name: curve(time).tolist() for name, curve in self._curves.items()})
 
 
 def made_keys(kind: type[Key], entries: Entries) -> list[Key]:

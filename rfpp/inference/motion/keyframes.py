@@ -15,7 +15,6 @@ from rfpp.errors import SceneError
 from rfpp.inference.motion.curves import Curve, bounded, flowing, turning
 from rfpp.inference.motion.frames import Frames, Motion, frames_between, with_cameras
 from rfpp.inference.motion.key_files import (
-    CameraKey,
     CameraTrack,
     Entries,
     Time,
@@ -65,8 +64,7 @@ class Keyframes(Motion):
             raise SceneError(f"{scene}: holds triangles but no objects to move: give any other format than H5")
         with located(f"{self.file}"):
             tracks = _tracks(content.objects, still)
-        with located(f"{self.file}: camera"):
-            view = CameraTrack(made_keys(CameraKey, content.camera)) if content.camera else None
+        view = CameraTrack(content.camera, f"{self.file}: camera") if content.camera else None
         times = [time for track in [*tracks.values(), *filter(None, [view])] for time in track.times]
         first, last = min(times), max(times)
         fixed = None if view else with_cameras(still, [camera])

@@ -15,6 +15,9 @@ from rfpp.scene.spec import Scene
 class NumberedScenes(Motion):
     """The scene files of a folder in the order of the numbers at the end of their names; `scene` is the folder.
 
+    Each file is a scene by itself: what `Scene.load` fits into the unit cube is fitted frame by frame, so that a film
+    of growing or moving things is better given in a format that it takes as it is, such as JSON.
+
     Attributes:
         pattern: which of the folder's files are frames, as in `*.json`.
     """

@@ -47,6 +47,11 @@ def test_materials_never_leave_their_keys():
     assert (np.diff(values) >= 0).all()
 
 
+def test_materials_at_their_limit_stay_valid():
+    curve = bounded([0.0, 0.1, 0.7], [[1.0, 0.0], [1.0, 0.1], [1.0, 0.3]])
+    assert all(curve(t)[0] == 1 for t in np.linspace(0, 0.7, 1001))
+
+
 def test_rotations_turn_evenly_about_one_axis():
     curve = turning([0, 2], [[0, 0, 0], [0, 0, 120]])
     for time in (0.5, 1.0, 1.9):

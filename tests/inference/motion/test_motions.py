@@ -5,6 +5,8 @@ import json
 import numpy as np
 import pytest
 from edited_scenes import scene
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 from rfpp import Scene
 from rfpp.errors import SceneError, UserError
@@ -114,6 +116,7 @@ class TestCameraPath:
         [
             ('{"camera": []}', "there is no key"),
             ('{"camera": [{"time": 0}]}', "camera: key 0: position: this key is missing"),
+            ('{"camera": [{"time": 1e30, "position": [0, -2, 0], "look_at": [0, 0, 0], "fov": 40}]}', "key 0: time"),
             ('{"camera": [{"time": NaN, "position": [0, -2, 0], "look_at": [0, 0, 0], "fov": 40}]}', "finite"),
             ('{"camera": [{"time": 0, "position": [0, 0, 0], "look_at": [0, 0, 0], "fov": 40}]}', "looks nowhere"),
             ('{"camera": [{"time": 0, "position": [0, -2, 0], "look_at": [0, 0, 0], "fov": 400}]}', "fov"),
@@ -144,6 +147,31 @@ class TestCameraPath:
     def test_yaml_is_neither_run_nor_expanded(self, content, named, file, keys):
         with pytest.raises(SceneError, match=r"flight\.yaml: .*" + named):
             CameraPath(file=keys(content, "flight.yaml"), fps=24).frames_of(file, camera=0)
+
+    @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+    @given(content=st.binary(max_size=64), at=st.integers(0, 300), name=st.sampled_from(["a.json", "a.yaml"]))
+    def test_damaged_files_are_refused_in_one_line_or_read(self, content, at, name, file, keys):
+        whole = json.dumps({"camera": self.KEYS}).encode()
+        path = keys("", name)
+        path.write_bytes(whole[:at] + content + whole[at + len(content) :])
+        try:
+            frames = CameraPath(file=path, fps=1).frames_of(file, camera=0)
+        except SceneError as error:
+            message = str(error)
+        else:
+            assert np.isfinite(frames[0].c2w).all()
+            return
+        assert f"{name}: " in message
+        assert "\n" not in message
+
+    def test_a_path_that_makes_no_camera_on_its_way_says_when(self, file, keys):
+        over = [
+            {**key, "position": (0, y, 1), "time": t} for key, y, t in zip(self.KEYS, (-1, 1), (0, 2), strict=False)
+        ]
+        over = [{**key, "look_at": (0, 0, 0)} for key in over]
+        frames = CameraPath(file=keys({"camera": over}), fps=1).frames_of(file, camera=0)
+        with pytest.raises(SceneError, match=r"flight\.json: camera, time 1: camera: up is zero or parallel"):
+            frames[1]
 
     def test_a_missing_file_and_an_impossible_rate_are_named(self, file, tmp_path):
         with pytest.raises(SceneError, match=r"absent\.yaml: cannot be read"):
