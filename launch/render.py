@@ -102,11 +102,8 @@ class Studio:
 
     def film(self, frames: Sequence[PackedScene], file: Path) -> Path:
         """A film, whose frames stay in a folder of its name: the same command goes on with those that are missing."""
-        film, begin, say = (
-            Film(frames, file.with_name(f"{file.stem}_frames"), self.size),
-            time.perf_counter(),
-            self.console.print,
-        )
+        film, say = Film(frames, file.with_name(f"{file.stem}_frames"), self.size), self.console.print
+        begin = time.perf_counter()
         with counting(self.console, "frames") as (show, _):
             made = film.render(self.renderer, self.request.light_samples, show)
         took = f"{made} rendered in {time.perf_counter() - begin:.2f} s"

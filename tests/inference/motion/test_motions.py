@@ -165,10 +165,7 @@ class TestCameraPath:
         assert "\n" not in message
 
     def test_a_path_that_makes_no_camera_on_its_way_says_when(self, file, keys):
-        over = [
-            {**key, "position": (0, y, 1), "time": t} for key, y, t in zip(self.KEYS, (-1, 1), (0, 2), strict=False)
-        ]
-        over = [{**key, "look_at": (0, 0, 0)} for key in over]
+        over = [{"time": y + 1, "position": (0, y, 1), "look_at": (0, 0, 0), "fov": 40} for y in (-1, 1)]
         frames = CameraPath(file=keys({"camera": over}), fps=1).frames_of(file, camera=0)
         with pytest.raises(SceneError, match=r"flight\.json: camera, time 1: camera: up is zero or parallel"):
             frames[1]
