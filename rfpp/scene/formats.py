@@ -15,7 +15,7 @@ from rfpp.errors import SceneError
 from rfpp.scene.files import write_atomically
 from rfpp.scene.mesh import Mesh, decimated, load_mesh, save_mesh
 from rfpp.scene.spec import Camera, Material, Scene, SceneObject, Strict, Transform
-from rfpp.scene.untrusted import MAX_JSON_BYTES, beside, one_line, parse_json, read_bytes, require_bounded
+from rfpp.scene.untrusted import MAX_JSON_BYTES, MAX_PARTS, beside, one_line, parse_json, read_bytes, require_bounded
 
 VERSION = "1.0"
 
@@ -25,8 +25,8 @@ class _SceneEntry(Strict):
 
     scene_name: str = "scene"
     version: str
-    objects: dict[str, dict[str, Any]]
-    cameras: tuple[dict[str, Any], ...] = ()
+    objects: Annotated[dict[str, dict[str, Any]], Field(max_length=MAX_PARTS)]
+    cameras: Annotated[tuple[dict[str, Any], ...], Field(max_length=MAX_PARTS)] = ()
 
 
 class _ObjectEntry(Strict):

@@ -12,7 +12,6 @@ Ours add `object_index` [M] int32, the object each triangle belongs to, which ot
 from __future__ import annotations
 
 import io
-import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -160,7 +159,7 @@ def _dataset(file: h5py.File, name: str, fix: str) -> h5py.Dataset:
         raise SceneError(f"{name}: its content lies in another file: copy it into this one")
     if dataset.dtype.kind not in "fiu" or dataset.ndim == 0:
         raise SceneError(f"{name}: {dataset.dtype} where an array of numbers was expected: convert the scene again")
-    if dataset.nbytes > _MOST_COMPRESSED * os.path.getsize(file.filename):
+    if dataset.nbytes > _MOST_COMPRESSED * dataset.id.get_storage_size():
         raise SceneError(f"{name}: {dataset.nbytes:,} bytes are claimed, more than it holds: convert the scene again")
     return dataset
 

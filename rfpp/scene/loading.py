@@ -77,7 +77,7 @@ def load_any(path: Path, triangles: int | None = None, up: UpAxis | None = None)
 def _imported(path: Path, up: UpAxis | None) -> Scene:
     try:
         scene = _folder(path, up) if path.is_dir() else _file(path, up)
-        require_bounded(sum(map(len, scene.parts)))
+        require_bounded(sum(map(len, scene.parts)), len(scene.parts))
         scene = framed(replace(scene, parts=tuple(part for part in scene.parts if len(part))), path)
         cameras = scene.cameras
         if not cameras:

@@ -19,19 +19,21 @@ MAX_BYTES = 2**31
 #: The same of text, whose numbers are read line by line.
 MAX_TEXT_BYTES = 2**28
 #: A text that is parsed into Python objects, which take up to thirty times its size.
-MAX_JSON_BYTES = 2**26
+MAX_JSON_BYTES = 2**25
 #: A hundred times what networks are trained for; a packed triangle takes 112 bytes, and several times that on the way.
 MAX_TRIANGLES = 10_000_000
+#: Entries of any list that become Python objects, and parts of a scene.
+MAX_ENTRIES, MAX_PARTS = 100_000, 20_000
 
 
-def read_bytes(path: Path, limit: int = MAX_BYTES) -> bytes:
+def read_bytes(path: Path, limit: int = MAX_BYTES, smaller: str = "make it smaller") -> bytes:
     """The content of a regular file. Raises SceneError, without the name: missing, unreadable, empty, above `limit`."""
     try:
         status = path.stat()
         if not stat.S_ISREG(status.st_mode):
             raise SceneError("is not a regular file: correct the path")
         if status.st_size > limit:
-            raise SceneError(f"holds {status.st_size:,} bytes, of which {limit:,} are read at most: make it smaller")
+            raise SceneError(f"holds {status.st_size:,} bytes, of which {limit:,} are read at most: {smaller}")
         content = path.read_bytes()
     except (OSError, ValueError) as error:  # ValueError: a zero byte in the name
         reason = getattr(error, "strerror", None) or error
@@ -78,8 +80,10 @@ def beside(folder: Path, name: str) -> Path:
     return folder.joinpath(*parts)
 
 
-def require_bounded(triangles: int) -> None:
-    """Raises SceneError for more triangles than are ever held."""
+def require_bounded(triangles: int, parts: int = 0) -> None:
+    """Raises SceneError for more triangles or parts than are ever held."""
+    if parts > MAX_PARTS:
+        raise SceneError(f"more than {MAX_PARTS:,} parts: join them where they were made")
     if triangles > MAX_TRIANGLES:
         raise SceneError(f"{triangles:,} triangles are more than {MAX_TRIANGLES:,}: decimate it where it was made")
 

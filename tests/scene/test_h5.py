@@ -225,3 +225,50 @@ def test_patches_in_full_precision_are_materials_in_full_precision(tmp_path):
     found = {t.tobytes(): m for t, m in zip(scene.triangles.positions, scene.triangles.material, strict=True)}
     assert scene.texture is None
     np.testing.assert_array_equal([found[t.tobytes()] for t in SCENE.positions], SCENE.material)
+
+
+def test_absurd_sizes_are_not_believed(tmp_path):
+    path = write(tmp_path / "absurd.h5")
+    for name, shape in (
+        ("triangles", (10**9, 3, 3)),
+        ("c2w", (10**8, 4, 4)),
+        ("texture", (len(SCENE), 13, 9999, 9999)),
+    ):
+        with h5py.File(path, "a") as file:
+            kept = file[name][()]
+            del file[name]
+            file.create_dataset(name, shape, np.float32, chunks=True)  # nothing is stored of it
+        with pytest.raises(SceneError, match=rf"absurd\.h5: {name}: [\d,]+ bytes are claimed, more than it holds"):
+            Scene.load(path)
+        with h5py.File(path, "a") as file:
+            del file[name]
+            file[name] = kept
+
+
+def test_nothing_is_read_from_other_files(tmp_path):
+    whole, path = write(tmp_path / "whole.h5"), write(tmp_path / "linked.h5")
+    (tmp_path / "raw").write_bytes(SCENE.positions.astype(np.float32).tobytes())
+    layout = h5py.VirtualLayout(SCENE.positions.shape, np.float32)
+    layout[:] = h5py.VirtualSource(whole, "triangles", SCENE.positions.shape)
+    ways = [
+        lambda file: file.__setitem__("triangles", h5py.ExternalLink(str(whole), "triangles")),
+        lambda file: file.create_virtual_dataset("triangles", layout),
+        lambda file: file.create_dataset(
+            "triangles", SCENE.positions.shape, np.float32, external=[(str(tmp_path / "raw"), 0, h5py.h5f.UNLIMITED)]
+        ),
+    ]
+    for way in ways:
+        with h5py.File(path, "a") as file:
+            del file["triangles"]
+            way(file)
+        with pytest.raises(SceneError, match=r"linked\.h5: triangles: its content lies in another file"):
+            Scene.load(path)
+
+
+def test_words_are_no_numbers(tmp_path):
+    path = write(tmp_path / "words.h5")
+    with h5py.File(path, "a") as file:
+        del file["fov"]
+        file["fov"] = ["wide", "narrow"]
+    with pytest.raises(SceneError, match=r"words\.h5: fov: object where an array of numbers was expected"):
+        Scene.load(path)

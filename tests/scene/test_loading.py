@@ -160,3 +160,25 @@ def test_large_scenes_are_told_how_to_become_smaller(tmp_path: Path) -> None:
     trimesh.creation.icosphere(7).export(tmp_path / "fine.ply")
     with pytest.warns(UserWarning, match=r"327,683 triangles, where training scenes .* triangles=80000 reduces them"):
         Scene.load(tmp_path / "fine.ply")
+
+
+PARTS = b"".join(b"o %d\nf 1 2 3\n" % i for i in range(20_001))
+MANY = {
+    "nodes.gltf": (b'{"asset": {"version": "2.0"}, "nodes": [' + b"{}," * 200_000 + b"{}]}", "nodes: list should have"),
+    "nested.gltf": (b'{"asset": ' + b"[" * 100_000, "nested too deeply"),
+    "groups.obj": (b"v 0 0 0\n" * 3 + PARTS, "more than 20,000 parts"),
+    "materials.obj": (b"mtllib many.mtl\n", r"many\.mtl: line 20001: more than 20,000 parts"),
+    "objects.json": (b'{"version": "1.0", "objects": {' + b",".join(b'"%d": {}' % i for i in range(20_001)) + b"}}",
+                     "objects: .* at most 20000"),
+    "cameras.json": (b'{"version": "1.0", "objects": {}, "cameras": [' + b"{}," * 30_000 + b"{}]}",
+                     "cameras: .* at most 20000"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", MANY)
+def test_absurdly_many_entries_are_refused_before_they_are_made(name: str, tmp_path: Path) -> None:
+    content, message = MANY[name]
+    (tmp_path / name).write_bytes(content)
+    (tmp_path / "many.mtl").write_bytes(b"".join(b"newmtl %d\n" % i for i in range(20_001)))
+    with pytest.raises(SceneError, match=rf"{name}: .*{message}"):
+        Scene.load(tmp_path / name)

@@ -56,7 +56,7 @@ class _Reader:
         self.materials = GltfMaterials(file)
         self.poses = dict(self._poses())
         self.left_out: dict[str, None] = dict.fromkeys(["animations"] if self.document.animations else [])
-        self._triangles = 0
+        self._triangles = self._parts = 0
 
     def parts(self, node: Node, label: str, pose: np.ndarray) -> Iterator[Part]:
         if node.extensions.instancing is not None:
@@ -69,6 +69,8 @@ class _Reader:
             except SceneError as error:
                 raise SceneError(f"'{label}': {error}") from None
             if part is not None and len(part):
+                self._parts += 1
+                require_bounded(self._triangles, self._parts)
                 yield part
 
     def cameras(self, node: Node, pose: np.ndarray) -> Iterator[Camera]:
@@ -97,8 +99,8 @@ class _Reader:
         yield Lamp(label, light.type, strength, position, _unit(direction))
 
     def warn(self, path: Path) -> None:
-        if self.materials.textures:
-            warnings.warn(f"{path}: {self.materials.textures} textures are averaged over each triangle", stacklevel=4)
+        if textures := self.materials.textures.used:
+            warnings.warn(f"{path}: {textures} textures are averaged over each triangle", stacklevel=4)
         if self.materials.normal_maps:
             self.left_out["normal maps"] = None
         if self.left_out:

@@ -62,7 +62,7 @@ class GltfFile:
         if path.suffix.lower() == ".glb":
             content, self._chunk = _split(read_bytes(path))
         else:
-            content, self._chunk = read_bytes(path, MAX_JSON_BYTES), None
+            content, self._chunk = read_bytes(path, MAX_JSON_BYTES, "export it as .glb"), None
         self.document: Document = parse_document(parse_json(content, "glTF 2.0"))
         self._buffers: dict[int, bytes] = {}
         self._require_known_extensions()

@@ -26,7 +26,7 @@ from jaxtyping import Bool, Float
 from rfpp.errors import SceneError
 from rfpp.scene.readers.gltf_file import GltfFile
 from rfpp.scene.readers.gltf_schema import Material, TextureInfo
-from rfpp.scene.readers.image_texture import ImageTexture
+from rfpp.scene.readers.image_texture import Textures
 from rfpp.scene.readers.imported import GREY, name_of, plain_material
 from rfpp.scene.triangles import DIFFUSE, EMISSION, ROUGHNESS, SPECULAR
 
@@ -42,17 +42,13 @@ class GltfMaterials:
     """The materials of one file.
 
     Attributes:
-        textures: how many different ones were averaged so far.
+        textures: those that were averaged so far.
         normal_maps: whether any was left out.
     """
 
     file: GltfFile
     normal_maps: bool = False
-    _loaded: dict[tuple[int, bool], ImageTexture] = field(default_factory=dict)
-
-    @property
-    def textures(self) -> int:
-        return len(self._loaded)
+    textures: Textures = field(default_factory=Textures)
 
     def rows(
         self,
@@ -82,7 +78,7 @@ class GltfMaterials:
         if max(
             extensions.transmission.transmission_factor, extensions.diffuse_transmission.diffuse_transmission_factor
         ):
-            raise SceneError("it transmits light, which cannot be represented: make it opaque or remove what it covers")
+            raise SceneError("it transmits light, which cannot be represented: make it opaque or remove it")
         self.normal_maps |= material.normal_texture is not None
 
         base = np.tile(np.array(pbr.base_color_factor, np.float32), (faces, 1))
@@ -116,26 +112,22 @@ class GltfMaterials:
         source = texture.extensions.webp.source if texture.extensions.webp else texture.source
         if source is None:
             raise SceneError(f"textures.{info.index} has no picture that can be read: export PNG or JPEG textures")
-        if (source, colour) not in self._loaded:
-            self._loaded[source, colour] = self._image(source, colour)
+        try:
+            picture = self.textures.get(source, colour, lambda: self._image(source))
+        except SceneError as error:
+            raise SceneError(f"images.{source}: {error}") from None
         if transform is None:
-            return self._loaded[source, colour].means(coordinates(info.tex_coord))
+            return picture.means(coordinates(info.tex_coord))
         uv = coordinates(info.tex_coord if transform.tex_coord is None else transform.tex_coord)
         cos, sin = np.cos(transform.rotation), np.sin(transform.rotation)
         turned = (uv * transform.scale) @ np.array([[cos, -sin], [sin, cos]])
-        return self._loaded[source, colour].means(turned + transform.offset)
+        return picture.means(turned + transform.offset)
 
-    def _image(self, index: int, colour: bool) -> ImageTexture:
+    def _image(self, index: int) -> bytes:
         image = self.file.entry(self.file.document.images, index, "images")
-        if image.buffer_view is not None:
-            view = self.file.entry(self.file.document.buffer_views, image.buffer_view, "bufferViews")
-            content = bytes(self.file.view(view))
-        else:
-            content = self.file.bytes_of(image.uri or "data:")
-        try:
-            return ImageTexture(content, colour)
-        except SceneError as error:
-            raise SceneError(f"images.{index}: {error}") from None
+        if image.buffer_view is None:
+            return self.file.bytes_of(image.uri or "data:")
+        return bytes(self.file.view(self.file.entry(self.file.document.buffer_views, image.buffer_view, "bufferViews")))
 
 
 def metallic_roughness(

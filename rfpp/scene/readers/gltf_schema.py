@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic.alias_generators import to_camel
 
 from rfpp.errors import SceneError
 from rfpp.scene.spec import first_problem
-from rfpp.scene.untrusted import one_line
+from rfpp.scene.untrusted import MAX_ENTRIES, one_line
 
+Entry = TypeVar("Entry")
+Several = Annotated[list[Entry], Field(max_length=MAX_ENTRIES)]
 Index = Annotated[int, Field(ge=0, lt=2**31)]
 Size = Annotated[int, Field(ge=0, lt=2**53)]
 Share = Annotated[float, Field(ge=0, le=1)]
@@ -135,21 +137,21 @@ class Material(_Entry):
 
 
 class Primitive(_Entry):
-    attributes: dict[str, Index]
+    attributes: Annotated[dict[str, Index], Field(max_length=100)]
     indices: Index | None = None
     material: Index | None = None
     mode: int = 4
-    targets: list[Any] = Field(default_factory=list)
-    extensions: dict[str, Any] = Field(default_factory=dict)
+    targets: Several[Any] = Field(default_factory=list)
+    extensions: Annotated[dict[str, Any], Field(max_length=100)] = Field(default_factory=dict)
 
 
 class Mesh(_Entry):
     name: str = ""
-    primitives: list[Primitive]
+    primitives: Several[Primitive]
 
 
 class Skin(_Entry):
-    joints: list[Index]
+    joints: Several[Index]
     inverse_bind_matrices: Index | None = None
 
 
@@ -184,7 +186,7 @@ class Node(_Entry):
     mesh: Index | None = None
     camera: Index | None = None
     skin: Index | None = None
-    children: list[Index] = Field(default_factory=list)
+    children: Several[Index] = Field(default_factory=list)
     matrix: Matrix | None = None
     translation: Vector = (0.0, 0.0, 0.0)
     rotation: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)
@@ -194,11 +196,11 @@ class Node(_Entry):
 
 class SceneEntry(_Entry):
     name: str = ""
-    nodes: list[Index] = Field(default_factory=list)
+    nodes: Several[Index] = Field(default_factory=list)
 
 
 class _Lights(_Entry):
-    lights: list[PunctualLight] = Field(default_factory=list)
+    lights: Several[PunctualLight] = Field(default_factory=list)
 
 
 class _Extensions(_Entry):
@@ -211,21 +213,21 @@ class _Asset(_Entry):
 
 class Document(_Entry):
     asset: _Asset
-    extensions_required: list[str] = Field(default_factory=list)
-    extensions_used: list[str] = Field(default_factory=list)
+    extensions_required: Several[str] = Field(default_factory=list)
+    extensions_used: Several[str] = Field(default_factory=list)
     scene: Index | None = None
-    scenes: list[SceneEntry] = Field(default_factory=list)
-    nodes: list[Node] = Field(default_factory=list)
-    meshes: list[Mesh] = Field(default_factory=list)
-    materials: list[Material] = Field(default_factory=list)
-    textures: list[Texture] = Field(default_factory=list)
-    images: list[Image] = Field(default_factory=list)
-    accessors: list[Accessor] = Field(default_factory=list)
-    buffer_views: list[BufferView] = Field(default_factory=list)
-    buffers: list[Buffer] = Field(default_factory=list)
-    cameras: list[Camera] = Field(default_factory=list)
-    skins: list[Skin] = Field(default_factory=list)
-    animations: list[Any] = Field(default_factory=list)
+    scenes: Several[SceneEntry] = Field(default_factory=list)
+    nodes: Several[Node] = Field(default_factory=list)
+    meshes: Several[Mesh] = Field(default_factory=list)
+    materials: Several[Material] = Field(default_factory=list)
+    textures: Several[Texture] = Field(default_factory=list)
+    images: Several[Image] = Field(default_factory=list)
+    accessors: Several[Accessor] = Field(default_factory=list)
+    buffer_views: Several[BufferView] = Field(default_factory=list)
+    buffers: Several[Buffer] = Field(default_factory=list)
+    cameras: Several[Camera] = Field(default_factory=list)
+    skins: Several[Skin] = Field(default_factory=list)
+    animations: Several[Any] = Field(default_factory=list)
     extensions: _Extensions = _Extensions()
 
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import io
 import warnings
+from collections import OrderedDict
+from collections.abc import Callable, Hashable
 
 import numpy as np
 from jaxtyping import Float
@@ -14,7 +16,9 @@ from rfpp.errors import SceneError
 #: Only formats whose readers run no other program.
 _FORMATS = ("PNG", "JPEG", "WEBP", "BMP", "TGA", "TIFF")
 _MAX_PIXELS = 8192 * 8192
-_KEPT = 2048  # pixels along the longer side; 64 MB
+_MAX_PIXELS_OF_A_FILE = 2**31  # 128 pictures of 4096²; half a minute
+_SIDE_KEPT = 1024  # pixels along the longer side; 11 MB with all coarser copies
+_KEPT = 32  # pictures
 _SIDE = 6  # cells along a triangle's side: 36 equal parts, each looked up at its centre
 _CHUNK = 50_000  # triangles at a time: 45 MB
 
@@ -27,6 +31,9 @@ _LINEAR = np.where(
 class ImageTexture:
     """A picture that repeats in u and v, with ever coarser copies.
 
+    Attributes:
+        pixels: how many its file held.
+
     Args:
         content: of an image file.
         colour: whether it holds sRGB colour, which becomes linear; else plain numbers.
@@ -36,10 +43,11 @@ class ImageTexture:
     """
 
     def __init__(self, content: bytes, colour: bool) -> None:
-        levels = [_pixels(content, colour)]
-        while min(levels[-1].shape[:2]) > 1:
-            levels.append(_reduced(levels[-1], 2))
-        self._levels = levels
+        level, self.pixels = _pixels(content, colour)
+        self._levels = [level.astype(np.float16)]
+        while min(level.shape[:2]) > 1:
+            level = _reduced(level, 2)
+            self._levels.append(level.astype(np.float16))
 
     def means(self, uv: Float[np.ndarray, "f 3 2"]) -> Float[np.ndarray, "f 4"]:
         """Red, green, blue and alpha of each triangle; (0, 0) is the picture's upper left corner."""
@@ -56,8 +64,39 @@ class ImageTexture:
             chosen, pixels = level == number, self._levels[number]
             size = np.array([pixels.shape[1], pixels.shape[0]])
             x, y = np.moveaxis(np.minimum(np.floor(points[chosen] % 1.0 * size), size - 1).astype(int), -1, 0)
-            result[chosen] = pixels[y, x].mean(axis=1)
+            result[chosen] = pixels[y, x].mean(axis=1, dtype=np.float32)
         return result
+
+
+class Textures:
+    """The textures of one file; those used last are kept.
+
+    Attributes:
+        used: how many different ones there were.
+    """
+
+    def __init__(self) -> None:
+        self._seen: set[tuple[Hashable, bool]] = set()
+        self._kept: OrderedDict[tuple[Hashable, bool], ImageTexture] = OrderedDict()
+        self._pixels = 0
+
+    @property
+    def used(self) -> int:
+        return len(self._seen)
+
+    def get(self, key: Hashable, colour: bool, read: Callable[[], bytes]) -> ImageTexture:
+        """The texture that `read` gives the image file of. Raises SceneError like `ImageTexture`, or for too many."""
+        if (key, colour) not in self._kept:
+            texture = ImageTexture(read(), colour)
+            self._pixels += texture.pixels
+            if self._pixels > _MAX_PIXELS_OF_A_FILE:
+                raise SceneError(f"its textures have more than {_MAX_PIXELS_OF_A_FILE:,} pixels: make them smaller")
+            self._seen.add((key, colour))
+            self._kept[key, colour] = texture
+            if len(self._kept) > _KEPT:
+                self._kept.popitem(last=False)
+        self._kept.move_to_end((key, colour))
+        return self._kept[key, colour]
 
 
 def linear(srgb: np.ndarray) -> np.ndarray:
@@ -77,7 +116,8 @@ def _centres() -> np.ndarray:
 _CENTRES = _centres()
 
 
-def _pixels(content: bytes, colour: bool) -> Float[np.ndarray, "h w 4"]:
+def _pixels(content: bytes, colour: bool) -> tuple[Float[np.ndarray, "h w 4"], int]:
+    """What is kept of an image file, and how many pixels it held."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # bounded below, before it is decoded
@@ -91,9 +131,10 @@ def _pixels(content: bytes, colour: bool) -> Float[np.ndarray, "h w 4"]:
         raise SceneError("the image is too large: make it smaller") from None
     except Exception:  # decoders raise whatever the file makes them stumble over
         raise SceneError("is not an image that can be read: save it as PNG, JPEG or WebP") from None
-    step = -(-max(values.shape[:2]) // _KEPT)
+    step = -(-max(values.shape[:2]) // _SIDE_KEPT)
     rows = max(1, 512 // step) * step  # reduced by strips, so that no large copy is ever made
-    return np.concatenate([_reduced(_decoded(values[i : i + rows], colour), step) for i in range(0, len(values), rows)])
+    strips = [_reduced(_decoded(values[i : i + rows], colour), step) for i in range(0, len(values), rows)]
+    return np.concatenate(strips), values.shape[0] * values.shape[1]
 
 
 def _decoded(values: np.ndarray, colour: bool) -> np.ndarray:

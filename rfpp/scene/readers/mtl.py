@@ -26,10 +26,10 @@ from jaxtyping import Float
 
 from rfpp.errors import SceneError
 from rfpp.scene.readers.gltf_material import metallic_roughness
-from rfpp.scene.readers.image_texture import ImageTexture
+from rfpp.scene.readers.image_texture import Textures
 from rfpp.scene.readers.imported import DIELECTRIC
 from rfpp.scene.triangles import EMISSION
-from rfpp.scene.untrusted import beside, one_line, read_bytes
+from rfpp.scene.untrusted import beside, one_line, read_bytes, require_bounded
 
 _COLOURS = {"kd": 3, "ks": 3, "ke": 3}
 _NUMBERS = {"ns": 1, "d": 1, "tr": 1, "pr": 1, "pm": 1, "illum": 1}
@@ -55,13 +55,13 @@ class ObjMaterial:
     values: dict[str, list[float]] = field(default_factory=dict)
     maps: dict[str, Path] = field(default_factory=dict)
 
-    def rows(self, uv: Float[np.ndarray, "f 3 2"] | None, faces: int) -> Float[np.ndarray, "f 10"]:
+    def rows(self, uv: Float[np.ndarray, "f 3 2"] | None, faces: int, textures: Textures) -> Float[np.ndarray, "f 10"]:
         """Raises SceneError naming the material, if it is transparent or a texture cannot be read."""
         try:
             self._require_opaque()
-            diffuse = np.clip(self._colour("kd", 0.8, uv, faces), 0, 1)
+            diffuse = np.clip(self._colour("kd", 0.8, uv, faces, textures), 0, 1)
             rows = self._surface(diffuse)
-            rows[:, EMISSION] = np.maximum(self._colour("ke", 0.0, uv, faces), 0)
+            rows[:, EMISSION] = np.maximum(self._colour("ke", 0.0, uv, faces, textures), 0)
             return rows
         except SceneError as error:
             raise SceneError(f"material '{self.name}': {error}") from None
@@ -86,7 +86,9 @@ class ObjMaterial:
     def _number(self, key: str, otherwise: float) -> float:
         return self.values.get(key, [otherwise])[0]
 
-    def _colour(self, key: str, otherwise: float, uv: np.ndarray | None, faces: int) -> Float[np.ndarray, "f 3"]:
+    def _colour(
+        self, key: str, otherwise: float, uv: np.ndarray | None, faces: int, textures: Textures
+    ) -> Float[np.ndarray, "f 3"]:
         path = self.maps.get(f"map_{key}")
         factor = np.tile(self.values.get(key, [1.0 if path else otherwise] * 3), (faces, 1))
         if path is None:
@@ -94,7 +96,7 @@ class ObjMaterial:
         if uv is None:
             raise SceneError(f"map_{key.capitalize()} needs texture coordinates on every face: unwrap the mesh")
         try:
-            return factor * ImageTexture(read_bytes(path), colour=True).means(uv)[:, :3]
+            return factor * textures.get(path, True, lambda: read_bytes(path)).means(uv)[:, :3]
         except SceneError as error:
             raise SceneError(f"{path}: {error}") from None
 
@@ -113,6 +115,7 @@ def read_mtl(path: Path) -> dict[str, ObjMaterial]:
         try:
             if key == "newmtl":
                 current = materials[rest] = ObjMaterial(one_line(rest, 60))
+                require_bounded(0, len(materials))
             elif current is not None and key in _MAPS:
                 current.maps[key] = beside(path.parent, _file_name(rest))
             elif current is not None and key in (_COLOURS | _NUMBERS):

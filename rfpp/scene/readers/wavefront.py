@@ -18,6 +18,7 @@ from jaxtyping import Float
 
 from rfpp.errors import SceneError
 from rfpp.scene.readers.grouping import components
+from rfpp.scene.readers.image_texture import Textures
 from rfpp.scene.readers.imported import ImportedScene, Part, fans, name_of, plain_material
 from rfpp.scene.readers.mtl import ObjMaterial, read_mtl
 from rfpp.scene.untrusted import MAX_TEXT_BYTES, beside, one_line, read_bytes, require_bounded
@@ -58,6 +59,7 @@ class _Reader:
         self.folder = folder
         self.arrays = {key: array("d") for key in _WIDTHS}
         self.materials: dict[str, ObjMaterial] = {}
+        self.textures = Textures()
         self.groups: dict[tuple[str, str], _Group] = {}
         self.name, self.material = "", ""
         self.names_materials = self.names_parts = False
@@ -94,13 +96,14 @@ class _Reader:
         parts = [self._part(group, vertices, coordinates, normals) for group in self.groups.values()]
         if not self.names_materials:
             warnings.warn(f"{path}: names no MTL file: its surfaces are grey", stacklevel=4)
-        if textures := sum(len(material.maps) for material in self.materials.values()):
-            warnings.warn(f"{path}: {textures} textures are averaged over each triangle", stacklevel=4)
+        if self.textures.used:
+            warnings.warn(f"{path}: {self.textures.used} textures are averaged over each triangle", stacklevel=4)
         return parts if self.names_parts else [piece for part in parts for piece in components(part)]
 
     def _face(self, tokens: list[bytes]) -> None:
         if (self.name, self.material) not in self.groups:
             self.groups[self.name, self.material] = _Group(self.name, self.material, flat=self.flat)
+            require_bounded(self.triangles, len(self.groups))
         group = self.groups[self.name, self.material]
         counts = [len(self.arrays[key]) // width for key, width in _WIDTHS.items()]
         size = 0
@@ -146,7 +149,7 @@ class _Reader:
             return plain_material(faces)
         if name not in self.materials:
             raise SceneError(f"material '{one_line(name, 60)}' is in none of its MTL files: add it or export it again")
-        return self.materials[name].rows(uv, faces)
+        return self.materials[name].rows(uv, faces, self.textures)
 
 
 def _is_smooth(corners: np.ndarray, normals: np.ndarray) -> bool:
