@@ -19,7 +19,7 @@ from rfpp.errors import SceneError
 from rfpp.scene.budget import within_budget
 from rfpp.scene.formats import load_scene
 from rfpp.scene.h5 import load_h5
-from rfpp.scene.mesh import MESH_SUFFIXES, Mesh, has_area
+from rfpp.scene.mesh import Mesh, has_area
 from rfpp.scene.packed import PackedScene
 from rfpp.scene.readers.framing import default_camera, framed
 from rfpp.scene.readers.gltf import read_gltf
@@ -105,9 +105,9 @@ def _file(path: Path, up: UpAxis | None) -> ImportedScene:
 
 def _folder(folder: Path, up: UpAxis | None) -> ImportedScene:
     """Every mesh file in a folder, in one common space."""
-    files = sorted(path for path in folder.iterdir() if path.suffix.lower() in MESH_SUFFIXES)
+    files = sorted(path for path in folder.iterdir() if path.suffix.lower() in _READERS)
     if not files:
-        raise SceneError(f"holds no mesh: give a folder of {', '.join(MESH_SUFFIXES)} files, or a scene file")
+        raise SceneError(f"holds no mesh: give a folder of {', '.join(_READERS)} files, or a scene file")
     if len(files) > _MAX_FILES:
         raise SceneError(f"holds {len(files):,} meshes, of which a scene takes {_MAX_FILES:,}: give fewer")
     scenes = []

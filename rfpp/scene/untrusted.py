@@ -6,9 +6,11 @@ allocated or opened.
 
 from __future__ import annotations
 
+import io
 import json
 import re
 import stat
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +20,8 @@ from rfpp.errors import SceneError
 MAX_BYTES = 2**31
 #: The same of text, whose numbers are read line by line.
 MAX_TEXT_BYTES = 2**28
+#: A polygon of a hundred thousand corners.
+MAX_LINE_BYTES = 2**20
 #: A text that is parsed into Python objects, which take up to thirty times its size.
 MAX_JSON_BYTES = 2**25
 #: A hundred times what networks are trained for; a packed triangle takes 112 bytes, and several times that on the way.
@@ -41,6 +45,16 @@ def read_bytes(path: Path, limit: int = MAX_BYTES, smaller: str = "make it small
     if not content:
         raise SceneError("is empty: export it again")
     return content
+
+
+def lines_of(content: bytes, start: int = 0) -> Iterator[bytes]:
+    """The lines of a text from a byte on, with their ends. Raises SceneError for one of absurd length."""
+    stream = io.BytesIO(content)
+    stream.seek(start)
+    for line in stream:
+        if len(line) > MAX_LINE_BYTES:
+            raise SceneError(f"a line has {len(line):,} bytes: export it again")
+        yield line
 
 
 def parse_json(content: bytes, expected: str) -> dict[str, Any]:

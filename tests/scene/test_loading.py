@@ -167,6 +167,7 @@ MANY = {
     "nodes.gltf": (b'{"asset": {"version": "2.0"}, "nodes": [' + b"{}," * 200_000 + b"{}]}", "nodes: list should have"),
     "nested.gltf": (b'{"asset": ' + b"[" * 100_000, "nested too deeply"),
     "groups.obj": (b"v 0 0 0\n" * 3 + PARTS, "more than 20,000 parts"),
+    "line.obj": (b"f" + b" 1 2 3" * 200_000, "a line has 1,200,001 bytes"),
     "materials.obj": (b"mtllib many.mtl\n", r"many\.mtl: line 20001: more than 20,000 parts"),
     "objects.json": (b'{"version": "1.0", "objects": {' + b",".join(b'"%d": {}' % i for i in range(20_001)) + b"}}",
                      "objects: .* at most 20000"),

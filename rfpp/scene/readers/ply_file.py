@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import io
 from array import array
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from rfpp.errors import SceneError
-from rfpp.scene.untrusted import MAX_TEXT_BYTES, MAX_TRIANGLES, one_line
+from rfpp.scene.untrusted import MAX_TEXT_BYTES, MAX_TRIANGLES, lines_of, one_line
 
 _TYPES = {"char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2", "ushort": "u2",
           "uint16": "u2", "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4", "float": "f4", "float32": "f4",
@@ -165,13 +164,12 @@ def _gathered(content: bytes, dtype: np.dtype, begins: np.ndarray, lengths: np.n
 def _from_text(content: bytes, header: Header) -> dict[str, dict[str, Column]]:
     if len(content) > MAX_TEXT_BYTES:
         raise SceneError(f"holds {len(content):,} bytes of text: save it as binary PLY")
-    lines = io.BytesIO(content)
-    lines.seek(header.size)
+    lines = lines_of(content, header.size)
     columns: dict[str, dict[str, Column]] = {}
     for element in header.elements:
         values, lengths = [array("d") for _ in element.properties], [array("q") for _ in element.properties]
         for _ in range(element.count):
-            tokens = iter(lines.readline().split())
+            tokens = iter(next(lines, b"").split())
             try:
                 for prop, value, length in zip(element.properties, values, lengths, strict=True):
                     count = 1 if prop.length is None else int(next(tokens))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import struct
 from array import array
 from pathlib import Path
@@ -13,7 +12,7 @@ from jaxtyping import Float
 from rfpp.errors import SceneError
 from rfpp.scene.readers.grouping import components
 from rfpp.scene.readers.imported import ImportedScene, Part, plain_material
-from rfpp.scene.untrusted import MAX_TEXT_BYTES, one_line, read_bytes, require_bounded
+from rfpp.scene.untrusted import MAX_TEXT_BYTES, lines_of, one_line, read_bytes, require_bounded
 
 _HEADER = 84
 _FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
@@ -61,7 +60,7 @@ def _from_text(content: bytes) -> Float[np.ndarray, "f 3 3"]:
     if len(content) > MAX_TEXT_BYTES:
         raise SceneError(f"holds {len(content):,} bytes of text: save it as binary STL")
     numbers = array("d")
-    for line_number, line in enumerate(io.BytesIO(content), start=1):
+    for line_number, line in enumerate(lines_of(content), start=1):
         tokens = line.split()
         if tokens[:1] == [b"vertex"]:
             try:

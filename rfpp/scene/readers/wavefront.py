@@ -6,7 +6,6 @@ say that it is flat.
 
 from __future__ import annotations
 
-import io
 import math
 import warnings
 from array import array
@@ -21,7 +20,7 @@ from rfpp.scene.readers.grouping import components
 from rfpp.scene.readers.image_texture import Textures
 from rfpp.scene.readers.imported import ImportedScene, Part, fans, name_of, plain_material
 from rfpp.scene.readers.mtl import ObjMaterial, read_mtl
-from rfpp.scene.untrusted import MAX_TEXT_BYTES, beside, one_line, read_bytes, require_bounded
+from rfpp.scene.untrusted import MAX_TEXT_BYTES, beside, lines_of, one_line, read_bytes, require_bounded
 
 _FLAT_COSINE = math.cos(math.radians(1))
 _WIDTHS = {b"v": 3, b"vt": 2, b"vn": 3}
@@ -41,7 +40,7 @@ class _Group:
 def read_obj(path: Path) -> ImportedScene:
     """The scene in an OBJ file. Raises SceneError, without the file's name but with the line's number."""
     reader = _Reader(path.parent)
-    for number, line in enumerate(io.BytesIO(read_bytes(path, MAX_TEXT_BYTES)), start=1):
+    for number, line in enumerate(lines_of(read_bytes(path, MAX_TEXT_BYTES)), start=1):
         tokens = line.split()
         if tokens:
             try:
