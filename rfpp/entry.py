@@ -15,6 +15,7 @@ import hydra
 from hydra.errors import ConfigCompositionException, InstantiationException, OverrideParseException
 from omegaconf import DictConfig, OmegaConf
 
+from rfpp.allocator import keep_freed_memory
 from rfpp.errors import UserError
 
 Result = TypeVar("Result")
@@ -41,6 +42,7 @@ def entry_point(
         @functools.wraps(task)
         def reporting(cfg: DictConfig) -> Result:
             warnings.formatwarning = _one_line
+            keep_freed_memory()
             try:
                 return task(cfg)
             except UserError as error:

@@ -13,11 +13,15 @@ from torch import nn
 from torch.optim import Optimizer
 from torch.utils.flop_counter import FlopCounterMode
 
+from rfpp.allocator import keep_freed_memory
 from rfpp.batch import RaggedBatch
 from rfpp.errors import UserError
 from rfpp.inference.checkpoint import build
+from rfpp.inference.object_encoder import ObjectEncoder
+from rfpp.inference.precision import convert_blocks
 from rfpp.losses.rendering import RenderingLoss
-from rfpp.model.renderformer_pp import RenderFormerPP
+from rfpp.model.renderformer_pp import EncodedScenes, RenderFormerPP
+from rfpp.model.tokenizer import ObjectTokens
 from rfpp.training.blocks import checkpoint_activations, compile_blocks
 from rfpp.training.flops import training_flops
 from rfpp.training.module import decay_groups
@@ -81,7 +85,8 @@ class Setting:
         return PRECISIONS[self.precision]
 
     def apply(self) -> None:
-        """To this process, as training does."""
+        """To this process, as the commands do."""
+        keep_freed_memory()
         torch.set_float32_matmul_precision("high")
         torch.manual_seed(self.seed)
         if self.threads is not None:
@@ -123,18 +128,28 @@ class Task(Protocol):
 
 @dataclass(frozen=True)
 class Inference:
-    """encode: the view-independent stage; view: one view of every scene; render: encode, and all views in turn."""
+    """encode: the view-independent stage; view: one view of every scene; render: encode, and all views in turn.
+
+    As the renderer does it, which remembers nothing here.
+    """
 
     quantities = ("encode", "view", "render")
 
     def prepared(self, network: RenderFormerPP, batch: RaggedBatch, setting: Setting) -> Callable[[], dict[str, float]]:
         network.eval()
+        convert_blocks(network, setting.dtype)
+        on_cpu = batch.to("cpu")
+
+        def encode() -> EncodedScenes:
+            if isinstance(network.tokenizer, ObjectTokens):
+                return ObjectEncoder(network, torch.device(setting.where)).encode(on_cpu)
+            return network.encode(batch)
 
         @torch.inference_mode()
         def run() -> dict[str, float]:
             with setting.autocast():
                 begin = setting.now()
-                scenes = network.encode(batch)
+                scenes = encode()
                 encoded = setting.now()
                 for v in range(batch.num_views):  # one at a time, as the renderer does
                     one = slice(v, v + 1)

@@ -67,12 +67,12 @@ class ObjectEncoder:
         """As `RenderFormerPP.encode`.
 
         Args:
-            batch: a single scene, on the CPU.
+            batch: on the CPU.
         """
         return self.network.transported(*self.tokenize(batch))
 
     def tokenize(self, batch: RaggedBatch) -> tuple[Float[Tensor, " b"], SceneTokens]:
-        """As `RenderFormerPP.tokenize`, for a single scene on the CPU."""
+        """As `RenderFormerPP.tokenize`, for a batch on the CPU."""
         exposure = self.network.exposure(batch)
         batch = batch.dimmed(exposure)
         keys = object_keys(batch)
@@ -83,7 +83,8 @@ class ObjectEncoder:
                 tokens[keys[number]] = made
                 self._kept.put(keys[number], made, sum(part.nbytes for part in made))
         features, points, log_emission = (torch.cat(p) for p in zip(*(tokens[key] for key in keys), strict=True))
-        segments = Segments.from_lengths([len(features)], self.device)
+        per_object = len(features) // len(keys)
+        segments = Segments.from_lengths([per_object * objects for objects in batch.scenes.lengths], self.device)
         return exposure.to(self.device), SceneTokens(features, points, log_emission, segments)
 
     def _chunks(self, numbers: Sequence[int], lengths: Sequence[int]) -> Iterator[list[int]]:
@@ -121,7 +122,7 @@ def object_keys(batch: RaggedBatch) -> list[bytes]:
 
 
 def only(batch: RaggedBatch, objects: Sequence[int]) -> RaggedBatch:
-    """Some objects of a scene, in this order, as a scene of their own."""
+    """Some objects of a batch, in this order, as one scene of their own."""
     offsets = batch.objects.offsets.tolist()
     rows = torch.cat([torch.arange(offsets[number], offsets[number + 1]) for number in objects])
     return replace(

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import torch
+from torch import nn
 
 from rfpp.errors import UserError
+from rfpp.model.block import CrossAttention, SelfAttention, SwiGLU
 
 #: By the names of settings.
 PRECISIONS = {"bf16": torch.bfloat16, "fp32": torch.float32}
@@ -23,6 +25,16 @@ def matrix_dtype(precision: str, device: torch.device) -> torch.dtype:
     if precision not in PRECISIONS:
         raise UserError(f"precision={precision}: choose from auto, {', '.join(PRECISIONS)}")
     return PRECISIONS[precision]
+
+
+def convert_blocks(network: nn.Module, dtype: torch.dtype) -> None:
+    """Store the weights of attention and feed-forward layers, nearly all there are, in the dtype of their products.
+
+    Autocast converts weights in float32 every time they are used. Images stay the same to the last bit.
+    """
+    for part in network.modules():
+        if isinstance(part, SelfAttention | CrossAttention | SwiGLU):
+            part.to(dtype)
 
 
 def _multiplies_bfloat16(device: torch.device) -> bool:

@@ -16,7 +16,7 @@ from rfpp.errors import SceneError, UserError
 from rfpp.inference.checkpoint import CheckpointInfo, load_network
 from rfpp.inference.gbuffers import GBufferSource
 from rfpp.inference.object_encoder import ObjectEncoder
-from rfpp.inference.precision import matrix_dtype
+from rfpp.inference.precision import convert_blocks, matrix_dtype
 from rfpp.model.renderformer_pp import EncodedScenes
 from rfpp.model.tokenizer import ObjectTokens
 from rfpp.radiance import log_decode
@@ -34,7 +34,8 @@ class Renderer:
     changed; the image is the one that a new renderer would give, on a CPU to the last bit. Threads may share it.
 
     Args:
-        network: RaggedBatch → Rendering, in evaluation mode; its weights must not change from here on.
+        network: RaggedBatch → Rendering. The renderer's from here on: its weights must not change, and most are
+            converted to `dtype`.
         info: what its checkpoint says about it.
         device: where to run.
         dtype: of matrix products.
@@ -49,6 +50,7 @@ class Renderer:
     ):
         self.network, self.info, self.device = network.to(device).eval(), info, torch.device(device)
         self.dtype = dtype
+        convert_blocks(self.network, dtype)
         #: What encodes object by object; None for a network whose tokens are triangles.
         self.objects = ObjectEncoder(network, self.device) if isinstance(network.tokenizer, ObjectTokens) else None
         self._gbuffers = GBufferSource(network.gbuffer_channels)

@@ -197,13 +197,18 @@ def _attend_dense(q: Tensor, k: Tensor, v: Tensor, mask: Tensor | None) -> Tenso
     """[b, H, L, D] each; `mask` [b, 1, 1, Lk], True = real. Each case has what is fastest there, by measurement."""
     if q.is_cuda or q.dtype == torch.float32:
         return F.scaled_dot_product_attention(q, k, v, attn_mask=mask)
-    if q.shape[-2] * k.shape[-2] > SMALL_ATTENTION:
-        real = None if mask is None else mask[:, 0].repeat_interleave(q.shape[1], dim=0)
-        out = TiledAttention.apply(*(x.flatten(0, 1) for x in (q, k, v)), real)
-        return out.unflatten(0, q.shape[:2])
+    real = None if mask is None else mask[:, 0].repeat_interleave(q.shape[1], dim=0)
+    # copies: the backward pass would keep the rows of all buckets for a view of some
+    heads = [x.clone(memory_format=torch.contiguous_format).flatten(0, 1) for x in (q, k, v)]
+    attend_heads = TiledAttention.apply if q.shape[-2] * k.shape[-2] > SMALL_ATTENTION else _attend_at_once
+    return attend_heads(*heads, real).unflatten(0, q.shape[:2])
+
+
+def _attend_at_once(q: Tensor, k: Tensor, v: Tensor, real: Tensor | None) -> Tensor:
+    """[b·H, L, D] each; `real` [b·H, 1, Lk], False = padding."""
     scores = (q * q.shape[-1] ** -0.5) @ k.transpose(-1, -2)
-    if mask is not None:
-        scores = scores.masked_fill(~mask, float("-inf"))
+    if real is not None:
+        scores = scores.masked_fill(~real, float("-inf"))
     return scores.softmax(dim=-1) @ v
 
 
