@@ -11,7 +11,6 @@ import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
@@ -33,10 +32,8 @@ from rfpp.scene.spec import Material, Scene, SceneObject, Transform
 from rfpp.scene.triangles import DIFFUSE, EMISSION, ROUGHNESS, SPECULAR
 from rfpp.scene.untrusted import require_bounded
 
-UpAxis = Literal["y", "z"]
-
 #: Suffix → reader, and the axis that points up in the file; None where the reader turns it.
-_READERS: dict[str, tuple[Callable[[Path], ImportedScene], UpAxis | None]] = {
+_READERS: dict[str, tuple[Callable[[Path], ImportedScene], str | None]] = {
     ".gltf": (read_gltf, None),
     ".glb": (read_gltf, None),
     ".obj": (read_obj, "y"),
@@ -51,13 +48,22 @@ _MAX_FILES = 1000
 _MANY_TRIANGLES = 80_000  # the most that a training scene has
 
 
-def load_any(path: Path, triangles: int | None = None, up: UpAxis | None = None) -> Scene | PackedScene:
+def load_any(path: Path, triangles: int | None = None, up: str | None = None) -> Scene | PackedScene:
     """See `Scene.load`."""
     if triangles is not None and triangles < 1:
         raise SceneError(f"triangles={triangles}: give at least 1")
+    if up not in (None, "y", "z"):
+        raise SceneError(f"up={up}: choose y or z")
     suffix = path.suffix.lower()
     if path.is_dir() or suffix in _READERS:
         scene = _imported(path, up)
+        total = sum(len(item.mesh) for item in scene.objects)
+        if triangles is None and total > _MANY_TRIANGLES:
+            warnings.warn(
+                f"{path}: {total:,} triangles, where training scenes have {_MANY_TRIANGLES:,} at most: "
+                f"triangles={_MANY_TRIANGLES} reduces them",
+                stacklevel=3,
+            )
     elif suffix in _H5_SUFFIXES:
         if triangles is not None:
             raise SceneError(f"{path}: triangles={triangles}: H5 scenes are not decimated: leave it away")
@@ -74,7 +80,7 @@ def load_any(path: Path, triangles: int | None = None, up: UpAxis | None = None)
     return scene
 
 
-def _imported(path: Path, up: UpAxis | None) -> Scene:
+def _imported(path: Path, up: str | None) -> Scene:
     try:
         scene = _folder(path, up) if path.is_dir() else _file(path, up)
         require_bounded(sum(map(len, scene.parts)), len(scene.parts))
@@ -84,28 +90,24 @@ def _imported(path: Path, up: UpAxis | None) -> Scene:
             warnings.warn(f"{path}: it has no camera: one is added, in front and above", stacklevel=4)
             cameras = (default_camera(scene.parts),)
         objects = tuple(_objects(merged(lit(scene, cameras[0], path), path), path))
-        total = sum(len(item.mesh) for item in objects)
-        if total > _MANY_TRIANGLES:
-            warnings.warn(
-                f"{path}: {total:,} triangles, where training scenes have {_MANY_TRIANGLES:,} at most: "
-                f"triangles={_MANY_TRIANGLES} reduces them",
-                stacklevel=4,
-            )
         return Scene(name=name_of(scene.name, "scene"), objects=objects, cameras=cameras)
     except SceneError as error:
         raise SceneError(f"{path}: {error}") from None
 
 
-def _file(path: Path, up: UpAxis | None) -> ImportedScene:
+def _file(path: Path, up: str | None) -> ImportedScene:
     reader, usual = _READERS[path.suffix.lower()]
     with np.errstate(over="ignore", invalid="ignore"):
         scene = reader(path)
         return scene if usual is None or (up or usual) == "z" else _turned(scene)
 
 
-def _folder(folder: Path, up: UpAxis | None) -> ImportedScene:
+def _folder(folder: Path, up: str | None) -> ImportedScene:
     """Every mesh file in a folder, in one common space."""
-    files = sorted(path for path in folder.iterdir() if path.suffix.lower() in _READERS)
+    try:
+        files = sorted(path for path in folder.iterdir() if path.suffix.lower() in _READERS)
+    except OSError as error:
+        raise SceneError(f"cannot be read ({error.strerror}): check its permissions") from None
     if not files:
         raise SceneError(f"holds no mesh: give a folder of {', '.join(_READERS)} files, or a scene file")
     if len(files) > _MAX_FILES:

@@ -173,9 +173,7 @@ class Scene(Strict):
 
     @classmethod
     @no_type_check  # PackedScene is built on this module, so its name cannot be known here at run time
-    def load(
-        cls, path: str | Path, *, triangles: int | None = None, up: Literal["y", "z"] | None = None
-    ) -> Scene | PackedScene:
+    def load(cls, path: str | Path, *, triangles: int | None = None, up: str | None = None) -> Scene | PackedScene:
         """Read any scene.
 
         RenderFormer JSON v1.0 as it is, and its H5, which holds no objects and comes packed; glTF (.gltf, .glb), OBJ

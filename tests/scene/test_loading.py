@@ -106,6 +106,11 @@ def test_impossible_budgets_say_the_least(tmp_path: Path) -> None:
         Scene.load(ball_file(tmp_path), triangles=0)
 
 
+def test_an_axis_that_is_none_is_named(tmp_path: Path) -> None:
+    with pytest.raises(SceneError, match="up=x: choose y or z"):
+        Scene.load(ball_file(tmp_path), up="x")
+
+
 def test_decimated_faces_keep_the_colours_of_their_place(tmp_path: Path) -> None:
     mesh = trimesh.creation.icosphere(4)
     upper = mesh.triangles_center[:, 2] > 0
@@ -158,6 +163,9 @@ def test_parts_without_area_are_left_out_with_a_notice(tmp_path: Path) -> None:
 
 def test_large_scenes_are_told_how_to_become_smaller(tmp_path: Path) -> None:
     trimesh.creation.icosphere(7).export(tmp_path / "fine.ply")
+    with warnings.catch_warnings():
+        warnings.filterwarnings("error", message=".*where training scenes")
+        Scene.load(tmp_path / "fine.ply", triangles=1000)
     with pytest.warns(UserWarning, match=r"327,683 triangles, where training scenes .* triangles=80000 reduces them"):
         Scene.load(tmp_path / "fine.ply")
 
