@@ -28,6 +28,7 @@ quickstart: install
 	@echo
 	@echo "Pictures        data/renders/cornell_box_0_comparison.png, $(LATEST)/evaluation/*.png"
 	@echo "Metrics         $(LATEST)/evaluation/summary.csv"
+	@echo "Report          $(LATEST)/evaluation/report.html"
 	@echo "Training run    $(RUN) -m mlflow ui --backend-store-uri sqlite:///data/runs/mlflow.db"
 	@echo "Render more     $(RUN) launch/render.py scene=data/scenes/roughness_spheres.json checkpoint=$(LATEST)/checkpoints/best.ckpt"
 

@@ -24,7 +24,7 @@ fi
 
 echo "Installing into $venv (about 3 GB; two minutes on a fast line) …"
 [ -x "$venv/bin/python" ] || "$python" -m venv "$venv"
-"$venv/bin/python" -m pip install --quiet --disable-pip-version-check -c requirements.lock -e '.[blender,slurm,dev]'
+"$venv/bin/python" -m pip install --quiet --disable-pip-version-check -c requirements.lock -e '.[blender,slurm,viewer,video,dev]'
 
 "$venv/bin/python" - <<'EOF'
 import sys
