@@ -100,7 +100,7 @@ class _Reader:
 
     def warn(self, path: Path) -> None:
         if textures := self.materials.textures.used:
-            warnings.warn(f"{path}: {textures} textures are averaged over each triangle", stacklevel=4)
+            warnings.warn(f"{path}: textures are averaged over each triangle ({textures})", stacklevel=4)
         if self.materials.normal_maps:
             self.left_out["normal maps"] = None
         if self.left_out:

@@ -44,9 +44,11 @@ def lit(scene: ImportedScene, camera: Camera, path: Path) -> list[Part]:
     parts = [*scene.parts, *map(emitter, scene.lamps)]
     glowing = sum(part.is_light for part in scene.parts)
     if glowing:
-        warnings.warn(f"{path}: {glowing} emissive parts light the scene and are invisible to the camera", stacklevel=4)
+        warnings.warn(
+            f"{path}: emissive parts light the scene and are invisible to the camera ({glowing})", stacklevel=4
+        )
     if crooked := sum(lamp.kind != "point" for lamp in scene.lamps):
-        warnings.warn(f"{path}: {crooked} spot or directional lights became triangles, which shine more widely",
+        warnings.warn(f"{path}: spot and directional lights became triangles, which shine more widely ({crooked})",
                       stacklevel=4)  # fmt: skip
     arriving = irradiance(parts)
     if arriving < _FAINT:

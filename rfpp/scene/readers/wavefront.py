@@ -96,7 +96,7 @@ class _Reader:
         if not self.names_materials:
             warnings.warn(f"{path}: names no MTL file: its surfaces are grey", stacklevel=4)
         if self.textures.used:
-            warnings.warn(f"{path}: {self.textures.used} textures are averaged over each triangle", stacklevel=4)
+            warnings.warn(f"{path}: textures are averaged over each triangle ({self.textures.used})", stacklevel=4)
         return parts if self.names_parts else [piece for part in parts for piece in components(part)]
 
     def _face(self, tokens: list[bytes]) -> None:

@@ -135,7 +135,7 @@ def test_dark_scenes_get_three_lights_as_bright_as_training() -> None:
 def test_a_glowing_decal_is_no_light_for_a_scene() -> None:
     decal = part(FLOOR[[0, 1, 2]] * 0.02 + (0, 0, 0.3), emission=1.0)
     with (
-        pytest.warns(UserWarning, match=r"1 emissive parts light the scene and are invisible to the camera"),
+        pytest.warns(UserWarning, match=r"emissive parts light the scene and are invisible to the camera \(1\)"),
         pytest.warns(UserWarning, match=r"give it 0\.\d% of the usual light: three lights are added"),
     ):
         assert len(lit(ImportedScene("a", (part(), decal)), CAMERA, FILE)) == 5
@@ -159,5 +159,5 @@ def test_ordinary_lights_are_left_alone(strength: float) -> None:
 
 
 def test_spots_and_suns_say_that_they_shine_more_widely() -> None:
-    with pytest.warns(UserWarning, match="2 spot or directional lights became triangles"):
+    with pytest.warns(UserWarning, match=r"spot and directional lights became triangles, .* \(2\)"):
         lit(ImportedScene("a", (part(),), (lamp("spot"), lamp("directional"))), CAMERA, FILE)
