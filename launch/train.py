@@ -21,7 +21,7 @@ from rich.console import Console
 from rfpp.entry import entry_point
 from rfpp.inference.checkpoint import CheckpointInfo, load_initial_weights
 from rfpp.metrics.image import ImageMetrics
-from rfpp.training.blocks import checkpoint_activations, compile_blocks
+from rfpp.training.blocks import compile_blocks
 from rfpp.training.callbacks.finite_gradients import NonFiniteGradientError
 from rfpp.training.checkpoints import checkpoint_to_resume, point_at
 from rfpp.training.module import RenderingModule
@@ -58,8 +58,8 @@ def main(cfg: DictConfig) -> Path | None:
         load_initial_weights(network, cfg.initial_weights)
     if cfg.compile:
         compile_blocks(network)
-    if cfg.activation_checkpointing:
-        checkpoint_activations(network)
+    if recomputed := instantiate(cfg.get("activation_checkpointing")):
+        recomputed(network)
     datamodule = instantiate(cfg.datamodule, gbuffer_channels=network.gbuffer_channels, _convert_="all")
     loss = instantiate(cfg.loss)
     tracked = not cfg.trainer.fast_dev_run

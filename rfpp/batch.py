@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from itertools import pairwise
@@ -168,6 +168,33 @@ class RaggedBatch:
         if texture is not None:
             texture = torch.cat([texture[:, :10], texture[:, 10:] / per_triangle[:, None, None, None]], dim=1)
         return replace(self, material=material, texture=texture)
+
+    def only(self, objects: Sequence[int]) -> RaggedBatch:
+        """Some objects, in this order, as one scene of their own."""
+        starts = np.concatenate([[0], np.cumsum(self.objects.lengths)])
+        rows = np.concatenate([np.arange(starts[number], starts[number + 1]) for number in objects])
+        rows = torch.from_numpy(rows).to(self.positions.device)
+        return replace(
+            self,
+            positions=self.positions[rows],
+            normals=self.normals[rows],
+            material=self.material[rows],
+            objects=Segments.from_lengths([self.objects.lengths[number] for number in objects], rows.device),
+            scenes=Segments.from_lengths([len(objects)], rows.device),
+            texture=None if self.texture is None else self.texture[rows],
+        )
+
+    def object_chunks(self, objects: Sequence[int], triangles: int) -> Iterator[list[int]]:
+        """The objects in order, together as long as they have at most so many triangles; larger ones alone."""
+        chunk, size = [], 0
+        for number in objects:
+            if chunk and size + self.objects.lengths[number] > triangles:
+                yield chunk
+                chunk, size = [], 0
+            chunk.append(number)
+            size += self.objects.lengths[number]
+        if chunk:
+            yield chunk
 
     def to(self, device: torch.device | str, **kwargs) -> RaggedBatch:
         moved = {}

@@ -35,10 +35,15 @@ _PANELS = {
     "Rendering a view": ("s", "seconds", {"render": "-"}),
     "Training step": ("s", "seconds", {"training_step": "-", "checkpointed_training_step": "--"}),
     "Peak memory": (
-        "GB", "peak_GB", {"render": ":", "training_step": "-", "checkpointed_training_step": "--"}
+        "GB", "peak_GB",
+        {"render": ":", "training_step": "-", "checkpointed_training_step": "--", "least_memory_training_step": "-."},
     ),
 }  # fmt: skip
-_NAMES = {"checkpointed_training_step": "training, activations recomputed", "training_step": "training"}
+_NAMES = {
+    "training_step": "training",
+    "checkpointed_training_step": "training, blocks recomputed",
+    "least_memory_training_step": "training, objects recomputed",
+}
 
 
 def swept_rows(path: Path) -> list[Row]:

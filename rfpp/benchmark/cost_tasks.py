@@ -22,7 +22,7 @@ from rfpp.inference.precision import convert_blocks
 from rfpp.losses.rendering import RenderingLoss
 from rfpp.model.renderformer_pp import EncodedScenes, RenderFormerPP
 from rfpp.model.tokenizer import ObjectTokens
-from rfpp.training.blocks import checkpoint_activations, compile_blocks
+from rfpp.training.blocks import RecomputedBlocks, RecomputedObjects, compile_blocks
 from rfpp.training.flops import training_flops
 from rfpp.training.module import decay_groups
 
@@ -212,10 +212,35 @@ class TrainingStep:
 
 @dataclass(frozen=True)
 class CheckpointedTrainingStep(TrainingStep):
-    """The same with activation checkpointing; what is computed anew does not count as operations."""
+    """The same with activation checkpointing; what is computed anew does not count as operations.
+
+    Attributes:
+        policy: of every network.
+    """
+
+    policy: RecomputedBlocks
 
     quantities = ("checkpointed_training_step",)
 
     def prepared(self, network: RenderFormerPP, batch: RaggedBatch, setting: Setting) -> Callable[[], dict[str, float]]:
-        checkpoint_activations(network)
+        self.policy(network)
+        return super().prepared(network, batch, setting)
+
+
+@dataclass(frozen=True)
+class LeastMemoryTrainingStep(TrainingStep):
+    """The same with the activation checkpointing that leaves each network the least memory.
+
+    Attributes:
+        by_object, otherwise: of networks with and without object tokens.
+    """
+
+    by_object: RecomputedObjects
+    otherwise: RecomputedBlocks
+
+    quantities = ("least_memory_training_step",)
+
+    def prepared(self, network: RenderFormerPP, batch: RaggedBatch, setting: Setting) -> Callable[[], dict[str, float]]:
+        policy = self.by_object if isinstance(network.tokenizer, ObjectTokens) else self.otherwise
+        policy(network)
         return super().prepared(network, batch, setting)

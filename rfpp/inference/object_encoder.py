@@ -2,32 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from hashlib import blake2b
 from itertools import pairwise
-from typing import NamedTuple
 
 import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from rfpp.batch import RaggedBatch, Segments
+from rfpp.batch import RaggedBatch
 from rfpp.inference.bounded_cache import BoundedCache
 from rfpp.model.renderformer_pp import EncodedScenes, RenderFormerPP
 from rfpp.model.tokenizer import SceneTokens
 
 #: Triangles encoded at a time on a GPU, which one object would leave idle; this many bound the memory.
 _GPU_TRIANGLES = 1 << 15
-
-
-class _ObjectTokens(NamedTuple):
-    """The tokens of one object, as in `SceneTokens`."""
-
-    features: Float[Tensor, "q width"]
-    points: Float[Tensor, "q 9"]
-    log_emission: Float[Tensor, "q 3"]
 
 
 class ObjectEncoder:
@@ -59,7 +48,7 @@ class ObjectEncoder:
     ):
         self.network, self.device = network, device
         self._triangles_at_once = triangles_at_once or (1 if device.type == "cpu" else _GPU_TRIANGLES)
-        self._kept: BoundedCache[_ObjectTokens] = BoundedCache(max_bytes)
+        self._kept: BoundedCache[SceneTokens] = BoundedCache(max_bytes)
         #: Objects encoded so far.
         self.encoded = 0
 
@@ -78,34 +67,13 @@ class ObjectEncoder:
         keys = object_keys(batch)
         tokens = {key: self._kept.get(key) for key in keys}
         missing = {key: number for number, key in enumerate(keys) if tokens[key] is None}
-        for numbers in self._chunks(list(missing.values()), batch.objects.lengths):
-            for number, made in zip(numbers, self._encoded(batch, numbers), strict=True):
-                tokens[keys[number]] = made
-                self._kept.put(keys[number], made, sum(part.nbytes for part in made))
-        features, points, log_emission = (torch.cat(p) for p in zip(*(tokens[key] for key in keys), strict=True))
-        per_object = len(features) // len(keys)
-        segments = Segments.from_lengths([per_object * objects for objects in batch.scenes.lengths], self.device)
-        return exposure.to(self.device), SceneTokens(features, points, log_emission, segments)
-
-    def _chunks(self, numbers: Sequence[int], lengths: Sequence[int]) -> Iterator[list[int]]:
-        """Objects to be encoded together."""
-        chunk, triangles = [], 0
-        for number in numbers:
-            if chunk and triangles + lengths[number] > self._triangles_at_once:
-                yield chunk
-                chunk, triangles = [], 0
-            chunk.append(number)
-            triangles += lengths[number]
-        if chunk:
-            yield chunk
-
-    def _encoded(self, batch: RaggedBatch, numbers: Sequence[int]) -> list[_ObjectTokens]:
-        self.encoded += len(numbers)
-        tokens = self.network.tokens(only(batch, numbers).to(self.device))
-        parts = tokens.features, tokens.points, tokens.log_emission
-        # copies, because what is kept must not hold on to the whole chunk
-        split = ([piece.clone() for piece in part.chunk(len(numbers))] for part in parts)
-        return [_ObjectTokens(*pieces) for pieces in zip(*split, strict=True)]
+        for numbers in batch.object_chunks(list(missing.values()), self._triangles_at_once):
+            self.encoded += len(numbers)
+            made = self.network.tokens(batch.only(numbers).to(self.device)).split(len(numbers))
+            for number, part in zip(numbers, made, strict=True):
+                tokens[keys[number]] = part
+                self._kept.put(keys[number], part, _bytes(part))
+        return exposure.to(self.device), SceneTokens.joined([tokens[key] for key in keys], batch.scenes.lengths)
 
 
 def object_keys(batch: RaggedBatch) -> list[bytes]:
@@ -121,16 +89,5 @@ def object_keys(batch: RaggedBatch) -> list[bytes]:
     return keys
 
 
-def only(batch: RaggedBatch, objects: Sequence[int]) -> RaggedBatch:
-    """Some objects of a batch, in this order, as one scene of their own."""
-    offsets = batch.objects.offsets.tolist()
-    rows = torch.cat([torch.arange(offsets[number], offsets[number + 1]) for number in objects])
-    return replace(
-        batch,
-        positions=batch.positions[rows],
-        normals=batch.normals[rows],
-        material=batch.material[rows],
-        objects=Segments.from_lengths([batch.objects.lengths[number] for number in objects]),
-        scenes=Segments.from_lengths([len(objects)]),
-        texture=None if batch.texture is None else batch.texture[rows],
-    )
+def _bytes(tokens: SceneTokens) -> int:
+    return tokens.features.nbytes + tokens.points.nbytes + tokens.log_emission.nbytes

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -31,6 +32,21 @@ class SceneTokens:
     points: Float[Tensor, "n 9"]
     log_emission: Float[Tensor, "n 3"]
     segments: Segments
+
+    @classmethod
+    def joined(cls, parts: Sequence[SceneTokens], objects: Sequence[int]) -> SceneTokens:
+        """Tokens of objects, one after another, as those of scenes of so many `objects`."""
+        names = ("features", "points", "log_emission")
+        features, points, log_emission = (torch.cat([getattr(part, name) for part in parts]) for name in names)
+        per_object = len(features) // sum(objects)
+        segments = Segments.from_lengths([per_object * count for count in objects], features.device)
+        return cls(features, points, log_emission, segments)
+
+    def split(self, objects: int) -> list[SceneTokens]:
+        """The tokens of each of so many objects, in memory of their own."""
+        parts = zip(*(x.chunk(objects) for x in (self.features, self.points, self.log_emission)), strict=True)
+        segments = Segments.from_lengths([len(self.features) // objects], self.features.device)
+        return [SceneTokens(*(piece.clone() for piece in part), segments) for part in parts]
 
 
 class TriangleTokens(nn.Module):

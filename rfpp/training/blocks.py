@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import partial
 
 import torch
 from torch import nn
 from torch.utils.checkpoint import checkpoint
 
+from rfpp.batch import RaggedBatch
+from rfpp.errors import UserError
 from rfpp.model.block import CrossBlock, SelfBlock
+from rfpp.model.renderformer_pp import RenderFormerPP
+from rfpp.model.tokenizer import ObjectTokens, SceneTokens
 from rfpp.model.view_decoder import DecoderBlock
 
 
@@ -23,10 +27,45 @@ def compile_blocks(network: nn.Module) -> None:
         block.forward = torch.compile(block.forward, dynamic=True)
 
 
-def checkpoint_activations(network: nn.Module) -> None:
-    """Let every block forget its activations and compute them again in the backward pass. After `compile_blocks`."""
-    for block in _blocks(network):
-        block.forward = partial(checkpoint, block.forward, use_reentrant=False)
+class RecomputedBlocks:
+    """Activation checkpointing: every block forgets its activations and computes them again in the backward pass."""
+
+    def __call__(self, network: nn.Module) -> None:
+        """After `compile_blocks`."""
+        for block in _blocks(network):
+            _recompute(block)
+
+
+class RecomputedObjects:
+    """Activation checkpointing for the least memory: a few objects' tokens at a time, and block by block behind them.
+
+    What is kept of an object are its tokens. For networks that have object tokens.
+
+    Args:
+        triangles: whose tokens are computed at a time; larger objects alone.
+    """
+
+    def __init__(self, triangles: int):
+        self.triangles = triangles
+
+    def __call__(self, network: RenderFormerPP) -> None:
+        """After `compile_blocks`. Raises UserError for a network whose tokens are not of objects."""
+        if not isinstance(network.tokenizer, ObjectTokens):
+            raise UserError("activation_checkpointing=objects: this network has no object tokens: choose blocks")
+        inside = set(network.tokenizer.modules())
+        for block in _blocks(network):
+            if block not in inside:
+                _recompute(block)
+        network.tokens = partial(self._tokens, network.tokens)
+
+    def _tokens(self, make: Callable[[RaggedBatch], SceneTokens], batch: RaggedBatch) -> SceneTokens:
+        chunks = batch.object_chunks(range(len(batch.objects)), self.triangles)
+        parts = [checkpoint(make, batch.only(numbers), use_reentrant=False) for numbers in chunks]
+        return SceneTokens.joined(parts, batch.scenes.lengths)
+
+
+def _recompute(block: nn.Module) -> None:
+    block.forward = partial(checkpoint, block.forward, use_reentrant=False)
 
 
 def _blocks(network: nn.Module) -> Iterator[nn.Module]:

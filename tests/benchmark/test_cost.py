@@ -28,7 +28,8 @@ NETWORKS = {
     "renderformer": Untrained("RenderFormer", model_config("+experiment=renderformer")),
     "rfpp": Untrained("RenderFormer++", model_config()),
 }
-TASKS = {"inference": ["encode", "view", "render"], "steps": ["training_step", "checkpointed_training_step"]}
+STEPS = ["training_step", "checkpointed_training_step", "least_memory_training_step"]
+TASKS = {"inference": ["encode", "view", "render"], "steps": STEPS}
 QUANTITIES = [*TASKS["inference"], *TASKS["steps"]]
 
 

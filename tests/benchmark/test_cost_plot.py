@@ -7,6 +7,7 @@ import pytest
 from rfpp.benchmark.cost_plot import exponents, figure, main, swept_rows
 
 TRIANGLES = (1_600, 3_200, 12_800, 25_600, 51_200, 80_000)
+STEPS = ("training_step", "checkpointed_training_step", "least_memory_training_step")
 CONDITIONS = {"device": "cpu", "precision": "bf16-mixed", "compiled": "false", "threads": 2, "torch": "2.13.0"}
 
 
@@ -22,7 +23,7 @@ def table(tmp_path):
         }
         for sweep in ("triangles", "objects")
         for n in TRIANGLES
-        for quantity in ("encode", "render", "training_step", "checkpointed_training_step")
+        for quantity in ("encode", "render", *STEPS)
         for network in ("RenderFormer", "RenderFormer++")
         for missing in [network == "RenderFormer" and n == TRIANGLES[-1]]
     ]  # fmt: skip
