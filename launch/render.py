@@ -16,8 +16,8 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
 
-from rfpp import Renderer, Scene
-from rfpp.entry import CONFIG_DIR, entry_point
+from rfpp import Renderer
+from rfpp.entry import CONFIG_DIR, entry_point, settings
 from rfpp.errors import UserError
 from rfpp.inference.film import Film
 from rfpp.inference.gbuffers import GBufferSource
@@ -47,11 +47,11 @@ def main(cfg: DictConfig) -> list[Path]:
     tone_map = instantiate(cfg.tone_map, stops=request.exposure)
     motion, cycles = instantiate(cfg.get("motion")), cycles_settings(request)
     if motion:
-        scenes = [motion.frames_of(path, request.one_camera()) for path in request.scene]
+        scenes = [motion.frames_of(path, request.one_camera(), request.load) for path in request.scene]
         files = [request.film(path, motion.name) for path in request.scene]
         encoder()  # what is not installed is missed before anything is rendered
     else:
-        scenes = [with_cameras(Scene.load(path), request.cameras) for path in request.scene]
+        scenes = [with_cameras(request.load(path), request.cameras) for path in request.scene]
         files = [request.stills(path, len(scene.fov)) for path, scene in zip(request.scene, scenes, strict=True)]
 
     checkpoint = checkpoint_file(str(cfg.checkpoint), cfg.registry.tracking_uri, Path(cfg.registry.folder))
@@ -124,12 +124,10 @@ def cycles_settings(request: Request) -> CyclesSettings | None:
     """How references are path-traced, if any are wanted. Raises UserError: no such settings, or a missing program."""
     if not request.reference:
         return None
-    files = {file.stem: file for file in sorted((CONFIG_DIR / "reference").glob("*.yaml"))}
-    if request.reference_settings not in files:
-        raise UserError(f"reference_settings={request.reference_settings}: choose from {', '.join(files)}")
+    chosen = settings("reference", "reference_settings", request.reference_settings)
     require_blender()
     flip_library()
-    return instantiate(OmegaConf.load(files[request.reference_settings]))
+    return instantiate(chosen)
 
 
 if __name__ == "__main__":

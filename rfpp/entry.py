@@ -90,3 +90,14 @@ def required(cfg: DictConfig, key: str) -> str:
     if OmegaConf.is_missing(cfg, key):
         raise UserError(f"{key} is not given: add {key}=… to the command line")
     return cfg[key]
+
+
+def settings(group: str, key: str, name: str) -> DictConfig:
+    """conf/<group>/<name>.yaml, for a key of the command line whose value is such a name.
+
+    Raises UserError with the names there are.
+    """
+    files = {file.stem: file for file in sorted((CONFIG_DIR / group).glob("*.yaml"))}
+    if name not in files:
+        raise UserError(f"{key}={name}: choose from {', '.join(files)}")
+    return OmegaConf.load(files[name])

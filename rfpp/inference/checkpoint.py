@@ -12,7 +12,8 @@ import torch
 from torch import nn
 
 from rfpp.errors import CheckpointError
-from rfpp.inference.released_weights import is_released, read_released, with_folded_texture
+from rfpp.inference.model_folder import CONFIG_FILE, folder_of, names_folder, read_folder
+from rfpp.inference.released_weights import released, with_folded_texture
 from rfpp.model.triangle_embedding import TriangleEmbedding
 
 #: Where a Lightning checkpoint keeps a `CheckpointInfo`.
@@ -70,18 +71,13 @@ def load_network(path: Path | str) -> tuple[nn.Module, CheckpointInfo]:
     """The network in evaluation mode on the CPU, and what its checkpoint says about itself.
 
     Args:
-        path: a file written by launch/train.py; or a released RenderFormer: a folder with config.json and
-            model.safetensors, or its id on the Hugging Face hub.
+        path: a file written by launch/train.py; or a folder with config.json and model.safetensors, written by
+            `Renderer.save` or a released RenderFormer, or its id on the Hugging Face hub.
 
     Raises:
         CheckpointError: it is missing, unreadable, of an unknown kind, or its weights are not of the network it names.
     """
-    if is_released(path):
-        model, weights = read_released(path)
-        network = build(model, str(path))
-        _load_weights(network, weights, path)
-        return network.eval(), CheckpointInfo(model, **RELEASED)
-    info, weights = _read(Path(path))
+    info, weights = _read(path)
     network = build(info.model, str(path))
     _load_weights(network, weights, path)
     return network.eval(), info
@@ -95,17 +91,26 @@ def load_initial_weights(network: nn.Module, path: Path | str) -> None:
     Raises:
         CheckpointError: the checkpoint cannot be read, or is of another model.
     """
-    if is_released(path):
-        _, weights = read_released(path)
-        if isinstance(network.embedding, TriangleEmbedding):
-            weights = with_folded_texture(weights)
-    else:
-        _, weights = _read(Path(path))
+    _, weights = _read(path)
+    if isinstance(network.embedding, TriangleEmbedding) and "embedding.texture_proj.weight" in weights:
+        weights = with_folded_texture(weights)
     _load_weights(network, weights, path)
 
 
-def _read(path: Path) -> tuple[CheckpointInfo, dict[str, torch.Tensor]]:
-    """What a checkpoint file of ours says about itself, and its network's weights."""
+def _read(checkpoint: Path | str) -> tuple[CheckpointInfo, dict[str, torch.Tensor]]:
+    """What a checkpoint says about itself, and its network's weights."""
+    if not names_folder(checkpoint):
+        return _read_file(Path(checkpoint))
+    folder = folder_of(checkpoint)
+    config, tensors = read_folder(folder)
+    if CHECKPOINT_KEY in config:
+        return _info(config[CHECKPOINT_KEY], folder / CONFIG_FILE), tensors
+    model, weights = released(config, tensors, folder)
+    return CheckpointInfo(model, **RELEASED), weights
+
+
+def _read_file(path: Path) -> tuple[CheckpointInfo, dict[str, torch.Tensor]]:
+    """A checkpoint that Lightning wrote."""
     if path.parts[0] == "models:":
         raise CheckpointError(
             f"{path}: is a model of MLflow's registry: give it to launch/render.py or launch/evaluate.py, or fetch its "
@@ -120,7 +125,12 @@ def _read(path: Path) -> tuple[CheckpointInfo, dict[str, torch.Tensor]]:
         raise CheckpointError(f"{path}: cannot be read as a checkpoint ({reason[:160]}): copy it again") from None
     if not isinstance(content, dict) or CHECKPOINT_KEY not in content:
         raise CheckpointError(f"{path}: not a checkpoint of this project: give one written by launch/train.py")
-    about = content[CHECKPOINT_KEY]
+    state = content.get("state_dict", {})
+    weights = {k.removeprefix(NETWORK_PREFIX): v for k, v in state.items() if k.startswith(NETWORK_PREFIX)}
+    return _info(content[CHECKPOINT_KEY], path), weights
+
+
+def _info(about: Any, path: Path) -> CheckpointInfo:
     version = about.get("schema_version") if isinstance(about, dict) else None
     if version != SCHEMA_VERSION:
         raise CheckpointError(
@@ -128,11 +138,9 @@ def _read(path: Path) -> tuple[CheckpointInfo, dict[str, torch.Tensor]]:
             "use the version of rfpp that made it"
         )
     try:
-        info = CheckpointInfo(**about)
-    except TypeError as error:
+        return CheckpointInfo(**{**about, "resolution": tuple(about["resolution"])})  # JSON has lists only
+    except (TypeError, KeyError) as error:
         raise CheckpointError(f"{path}: its description does not fit ({error}): use the version that made it") from None
-    state = content.get("state_dict", {})
-    return info, {k.removeprefix(NETWORK_PREFIX): v for k, v in state.items() if k.startswith(NETWORK_PREFIX)}
 
 
 def build(config: Any, where: str) -> Any:

@@ -1,28 +1,22 @@
 """The published RenderFormer checkpoints: their layout → our parts.
 
-A checkpoint is a folder with config.json and model.safetensors, or the id of one on the Hugging Face hub. Nothing in
-it is executed. Layout: github.com/microsoft/renderformer (MIT), RenderFormer V1 base and V1.1 swin large.
+Layout: github.com/microsoft/renderformer (MIT), RenderFormer V1 base and V1.1 swin large.
 """
 
 from __future__ import annotations
 
-import json
 import math
-import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import torch
-from safetensors import SafetensorError
-from safetensors.torch import load_file
 from torch import Tensor
 
-from rfpp.errors import CheckpointError, MissingDependencyError
+from rfpp.errors import CheckpointError
+from rfpp.inference.model_folder import CONFIG_FILE, WEIGHTS_FILE
 from rfpp.model.encoding import RelativeSpatialEncoding
 from rfpp.scene.texture import FLAT_NORMAL, MATERIAL_CHANNELS, NORMAL_CHANNELS, TEXTURE_CHANNELS, covered_cells
-
-CONFIG_FILE, WEIGHTS_FILE = "config.json", "model.safetensors"
 
 #: The released code's defaults, for keys that a config.json leaves out.
 _DEFAULTS: dict[str, Any] = {
@@ -47,30 +41,19 @@ _FREE = {
 #: The width of the swin variant's windows, in patches; the released code fixes it.
 _WINDOW = 8
 
-_HUB_ID = re.compile(r"[A-Za-z0-9][\w.-]*/[A-Za-z0-9][\w.-]*")
 
-
-def is_released(checkpoint: Path | str) -> bool:
-    """Whether this names a checkpoint in the released layout: a folder, or what can only be a hub id."""
-    path = Path(checkpoint)
-    is_hub_id = _HUB_ID.fullmatch(str(checkpoint)) and path.suffix != ".ckpt"
-    return path.is_dir() or (not path.exists() and bool(is_hub_id))
-
-
-def read_released(checkpoint: Path | str) -> tuple[dict[str, Any], dict[str, Tensor]]:
+def released(
+    config: dict[str, Any], tensors: dict[str, Tensor], folder: Path
+) -> tuple[dict[str, Any], dict[str, Tensor]]:
     """The network's `_target_` config and its weights under our names.
 
+    Args:
+        config, tensors: what `folder` holds.
+
     Raises:
-        CheckpointError: a file is missing or damaged, a tensor is missing or unknown, or a config value is one that
-            we do not support; named.
-        MissingDependencyError: a hub id without huggingface_hub.
+        CheckpointError: a tensor is missing or unknown, or a config value is one that we do not support; named.
     """
-    folder = Path(checkpoint) if Path(checkpoint).is_dir() else _downloaded(str(checkpoint))
-    config = _config(folder / CONFIG_FILE)
-    try:
-        tensors = load_file(folder / WEIGHTS_FILE)
-    except (SafetensorError, OSError) as error:
-        raise CheckpointError(f"{folder / WEIGHTS_FILE}: cannot be read ({error}): copy it again") from None
+    config, tensors = _known(config, folder / CONFIG_FILE), dict(tensors)
     try:
         weights = dict(_renamed(config, tensors))
         _check_frequencies(config, tensors, folder / WEIGHTS_FILE)
@@ -97,28 +80,8 @@ def with_folded_texture(weights: dict[str, Tensor]) -> dict[str, Tensor]:
     return weights
 
 
-def _downloaded(name: str) -> Path:
-    try:
-        from huggingface_hub import snapshot_download
-    except ImportError as error:
-        raise MissingDependencyError(
-            f"{name}: no such file or folder, and to fetch it from the hub huggingface_hub is missing: "
-            "pip install 'rfpp[hub]'"
-        ) from error
-    try:
-        return Path(snapshot_download(name, allow_patterns=[CONFIG_FILE, WEIGHTS_FILE]))
-    except Exception as error:  # the hub's errors share no base class
-        reason = str(error).strip().splitlines()[0][:160] if str(error).strip() else type(error).__name__
-        raise CheckpointError(f"{name}: no such file, and the hub does not give it ({reason})") from None
-
-
-def _config(path: Path) -> dict[str, Any]:
-    try:
-        given = json.loads(path.read_text())
-    except (OSError, ValueError) as error:
-        raise CheckpointError(f"{path}: cannot be read ({error}): copy it again") from None
-    if not isinstance(given, dict):
-        raise CheckpointError(f"{path}: is not a JSON object: copy it again")
+def _known(given: dict[str, Any], path: Path) -> dict[str, Any]:
+    """The configuration with its defaults, if it is one that we support."""
     if unknown := sorted(given.keys() - _DEFAULTS.keys()):
         raise CheckpointError(f"{path}: unknown key '{unknown[0]}': it is not of a RenderFormer that we know")
     for key, default in _DEFAULTS.items():

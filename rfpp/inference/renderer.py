@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -13,8 +13,10 @@ from torch import Tensor, nn
 
 from rfpp.batch import RaggedBatch, SceneViews
 from rfpp.errors import SceneError, UserError
-from rfpp.inference.checkpoint import CheckpointInfo, load_network
+from rfpp.inference.checkpoint import CHECKPOINT_KEY, CheckpointInfo, load_network
 from rfpp.inference.gbuffers import GBufferSource
+from rfpp.inference.model_card import model_card
+from rfpp.inference.model_folder import write_folder
 from rfpp.inference.object_encoder import ObjectEncoder
 from rfpp.inference.precision import convert_blocks, matrix_dtype
 from rfpp.model.renderformer_pp import EncodedScenes
@@ -73,6 +75,21 @@ class Renderer:
         dtype = matrix_dtype(precision, device)
         return cls(*load_network(checkpoint), device, dtype)
 
+    def save(self, folder: Path | str, metrics: Mapping[str, Mapping[str, float]] | None = None) -> Path:
+        """Write the network as a folder that `load` reads, here or from the hub: safetensors, config and a model card.
+
+        Weights are written as this renderer holds them: load with precision="fp32" to pass them on unrounded.
+
+        Args:
+            metrics: split → metric → mean for the card, from an evaluation.
+
+        Raises:
+            UserError: it cannot be written.
+        """
+        folder, parameters = Path(folder), sum(p.numel() for p in self.network.parameters())
+        card = model_card(self.info, parameters, folder.name, metrics or {})
+        return write_folder(folder, {CHECKPOINT_KEY: self.info.to_dict()}, self.network.state_dict(), card)
+
     def render(
         self,
         scene: Scene | PackedScene,
@@ -100,16 +117,23 @@ class Renderer:
         resolution: int | tuple[int, int] | None = None,
         cameras: Sequence[Camera] | None = None,
         light_samples: int = 16,
+        transports: int | None = None,
     ) -> Iterator[Float[np.ndarray, "h w 3"]]:
-        """The images of `render`, each as soon as it is finished."""
+        """The images of `render`, each as soon as it is finished.
+
+        Args:
+            transports: how often the transport operator is applied; None is as often as it was trained for.
+        """
         height, width = self.image_size(resolution)
         packed = pack(scene) if cameras is None else pack(scene).seen_by(cameras)
         if not len(packed.fov):
             raise SceneError(f"scene '{packed.name}' has no camera: add one to its `cameras`")
-        return self._views(packed, height, width, light_samples)
+        if transports is not None and not self.network.iterations:
+            raise UserError(f"transports={transports}: this network has no transport operator: leave it away")
+        return self._views(packed, height, width, light_samples, transports)
 
     def _views(
-        self, scene: PackedScene, height: int, width: int, light_samples: int
+        self, scene: PackedScene, height: int, width: int, light_samples: int, transports: int | None
     ) -> Iterator[Float[np.ndarray, "h w 3"]]:
         """One view at a time, which bounds the memory; a thread casts the next one's rays meanwhile."""
         no_gbuffer = np.zeros((len(scene.fov), 0, 0, 0), np.float32)
@@ -118,7 +142,7 @@ class Renderer:
         gbuffers = self._gbuffers.of(scene, height, width, light_samples)
         with ThreadPoolExecutor(1, "gbuffer") as beside:
             upcoming = beside.submit(gbuffers, 0)
-            encoded = self._encode(batch)
+            encoded = self._encode(batch, transports)
             for view in range(batch.num_views):
                 gbuffer = upcoming.result()
                 if view + 1 < batch.num_views:
@@ -130,9 +154,15 @@ class Renderer:
         return torch.autocast(self.device.type, self.dtype, enabled=self.dtype != torch.float32)
 
     @torch.inference_mode()
-    def _encode(self, batch: RaggedBatch) -> EncodedScenes:
+    def _encode(self, batch: RaggedBatch, transports: int | None) -> EncodedScenes:
         with self._autocast():
-            return self.network.encode(batch.to(self.device)) if self.objects is None else self.objects.encode(batch)
+            if self.objects is None:
+                exposure, tokens = self.network.tokenize(batch.to(self.device))
+            else:
+                exposure, tokens = self.objects.tokenize(batch)
+            if transports is None:
+                return self.network.transported(exposure, tokens)
+            return self.network.transported_each(exposure, tokens, transports)[0][-1]
 
     @torch.inference_mode()
     def _decode(

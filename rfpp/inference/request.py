@@ -5,14 +5,15 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import torch
 from pydantic import BeforeValidator, Field, field_validator
 
 from rfpp.errors import UserError
 from rfpp.inference.layers import checked_layers
-from rfpp.scene.spec import Strict
+from rfpp.scene.packed import PackedScene
+from rfpp.scene.spec import Scene, Strict
 
 
 def _listed(value: Any) -> Any:
@@ -27,7 +28,7 @@ def _square(value: Any) -> Any:
 #: What `output` may end in where it is no folder; which of them depends on what is rendered.
 _FILES = (".exr", ".png", ".mp4")
 
-Pixels = Annotated[int, Field(ge=1)]
+Positive = Annotated[int, Field(ge=1)]
 Index = Annotated[int, Field(ge=0)]
 
 
@@ -39,6 +40,7 @@ class Request(Strict):
         output: a folder, or the path of the EXR or MP4 file of a single scene.
         resolution: (height, width), or None for the network's.
         cameras: numbers, or None for all.
+        triangles, up: of `Scene.load`.
         layers: G-buffer channels for the EXR.
         exposure: stops.
         light_samples: shadow rays per light and pixel.
@@ -49,8 +51,10 @@ class Request(Strict):
 
     scene: Annotated[tuple[Path, ...], BeforeValidator(_listed), Field(min_length=1)]
     output: Path
-    resolution: Annotated[tuple[Pixels, Pixels] | None, BeforeValidator(_square)]
+    resolution: Annotated[tuple[Positive, Positive] | None, BeforeValidator(_square)]
     cameras: Annotated[tuple[Index, ...] | None, BeforeValidator(_listed)]
+    triangles: Positive | None
+    up: Literal["y", "z"] | None
     layers: Annotated[tuple[str, ...], BeforeValidator(_listed)]
     exposure: Annotated[float, Field(ge=-64, le=64)]
     light_samples: Annotated[int, Field(ge=1)]
@@ -86,6 +90,10 @@ class Request(Strict):
     def of(cls, values: Mapping[str, Any]) -> Request:
         """From a configuration that holds these values among others."""
         return cls(**{name: values[name] for name in cls.model_fields})
+
+    def load(self, scene: Path) -> Scene | PackedScene:
+        """One of the scenes."""
+        return Scene.load(scene, triangles=self.triangles, up=self.up)
 
     def one_camera(self) -> int:
         """For a film; the first if none was asked for. Raises UserError for several."""

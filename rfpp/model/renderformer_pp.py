@@ -95,12 +95,16 @@ class RenderFormerPP(nn.Module):
 
         For a network with an operator, see `iterations`.
         """
-        exposure, tokens = self.tokenize(batch)
-        bounces = self.transport.bounces(tokens, count)
-        encoded = (
-            EncodedScenes(replace(tokens, features=s + bounces.emitted), exposure, ()) for s in bounces.scattered
-        )
+        encoded, bounces = self.transported_each(*self.tokenize(batch), count)
         return [self.view(scenes, batch.c2w, batch.fov, batch.gbuffer) for scenes in encoded], bounces
+
+    def transported_each(
+        self, exposure: Float[Tensor, " b"], tokens: SceneTokens, count: int
+    ) -> tuple[list[EncodedScenes], Bounces]:
+        """What `tokenize` made, with ⁽ᵏ⁾F_s + F_e for features, after k = 0 … `count` applications; see `bounces`."""
+        bounces = self.transport.bounces(tokens, count)
+        states = [replace(tokens, features=s + bounces.emitted) for s in bounces.scattered]
+        return [EncodedScenes(state, exposure, ()) for state in states], bounces
 
     def view(
         self,

@@ -16,7 +16,7 @@ from rfpp import Renderer, Scene
 from rfpp.batch import RaggedBatch, SceneViews
 from rfpp.errors import CheckpointError
 from rfpp.inference.checkpoint import load_initial_weights, load_network
-from rfpp.inference.released_weights import is_released
+from rfpp.inference.model_folder import names_folder
 from rfpp.scene.packed import PackedScene
 from rfpp.scene.texture import FLAT_NORMAL, covered_cells
 
@@ -159,8 +159,8 @@ def test_training_starts_from_the_released_weights(tmp_path, scene):
 
 
 def test_what_names_a_released_checkpoint(tmp_path):
-    assert is_released(tmp_path)
-    assert is_released("microsoft/renderformer-v1-base")
-    assert not is_released("data/runs/quickstart/latest/checkpoints/best.ckpt")
-    assert not is_released("best.ckpt")
-    assert not is_released("runs/best.ckpt")
+    assert names_folder(tmp_path)
+    assert names_folder("microsoft/renderformer-v1-base")
+    assert not names_folder("data/runs/quickstart/latest/checkpoints/best.ckpt")
+    assert not names_folder("best.ckpt")
+    assert not names_folder("runs/best.ckpt")

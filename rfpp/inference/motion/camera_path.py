@@ -8,7 +8,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from rfpp.inference.motion.frames import Frames, Motion, frames_between
+from rfpp.inference.motion.frames import Frames, Load, Motion, frames_between
 from rfpp.inference.motion.key_files import CameraTrack, Entries, read_keys
 from rfpp.scene.packed import PackedScene, pack
 from rfpp.scene.spec import Scene, Strict
@@ -35,9 +35,9 @@ class CameraPath(Motion):
     def name(self) -> str:
         return self.file.stem
 
-    def frames_of(self, scene: Path, camera: int) -> Sequence[PackedScene]:
+    def frames_of(self, scene: Path, camera: int, load: Load = Scene.load) -> Sequence[PackedScene]:
         track = CameraTrack(read_keys(self.file, _CameraPathFile).camera, f"{self.file}: camera")
-        still, start = pack(Scene.load(scene)), track.times[0]
+        still, start = pack(load(scene)), track.times[0]
         count = frames_between(start, track.times[-1], self.fps)
         return Frames(count, lambda number: still.seen_by([track.at(start + number / self.fps)]))
 

@@ -11,6 +11,9 @@ from rfpp.errors import UserError
 from rfpp.scene.packed import PackedScene, pack
 from rfpp.scene.spec import Scene, Strict
 
+#: What reads a scene file.
+Load = Callable[[Path], Scene | PackedScene]
+
 
 class Motion(Strict):
     """A kind of film. Its settings are checked when it is made; files are read by `frames_of`."""
@@ -23,12 +26,13 @@ class Motion(Strict):
         """What the film is called after the scene, in file names."""
 
     @abstractmethod
-    def frames_of(self, scene: Path, camera: int) -> Sequence[PackedScene]:
+    def frames_of(self, scene: Path, camera: int, load: Load = Scene.load) -> Sequence[PackedScene]:
         """The frames, each made when it is asked for. Neighbours of which only the camera moves share their triangles.
 
         Args:
             scene: what `Scene.load` reads, or what the class says.
             camera: which of the scene's cameras to start from or look through.
+            load: what reads it.
 
         Raises:
             UserError: the scene or a file that describes the motion cannot be used; the message names it.

@@ -13,7 +13,7 @@ from pydantic import Field
 
 from rfpp.errors import SceneError
 from rfpp.inference.motion.curves import Curve, bounded, flowing, turning
-from rfpp.inference.motion.frames import Frames, Motion, frames_between, with_cameras
+from rfpp.inference.motion.frames import Frames, Load, Motion, frames_between, with_cameras
 from rfpp.inference.motion.key_files import (
     CameraTrack,
     Entries,
@@ -57,9 +57,9 @@ class Keyframes(Motion):
     def name(self) -> str:
         return self.file.stem
 
-    def frames_of(self, scene: Path, camera: int) -> Sequence[PackedScene]:
+    def frames_of(self, scene: Path, camera: int, load: Load = Scene.load) -> Sequence[PackedScene]:
         content = read_keys(self.file, _KeyframeFile)
-        still = Scene.load(scene)
+        still = load(scene)
         if not isinstance(still, Scene):
             raise SceneError(f"{scene}: holds triangles but no objects to move: give any other format than H5")
         with located(f"{self.file}"):

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from rfpp.errors import SceneError
-from rfpp.inference.motion.frames import Frames, Motion, with_cameras
+from rfpp.inference.motion.frames import Frames, Load, Motion, with_cameras
 from rfpp.scene.packed import PackedScene
 from rfpp.scene.spec import Scene
 
@@ -28,11 +28,11 @@ class NumberedScenes(Motion):
     def name(self) -> str:
         return "film"
 
-    def frames_of(self, scene: Path, camera: int) -> Sequence[PackedScene]:
+    def frames_of(self, scene: Path, camera: int, load: Load = Scene.load) -> Sequence[PackedScene]:
         if not scene.is_dir():
             raise SceneError(f"{scene}: is not a folder: give the one that holds a scene file for each frame")
         files = self._in_order(scene)
-        return Frames(len(files), lambda number: with_cameras(Scene.load(files[number]), [camera]))
+        return Frames(len(files), lambda number: with_cameras(load(files[number]), [camera]))
 
     def _in_order(self, folder: Path) -> list[Path]:
         numbered: dict[int, Path] = {}

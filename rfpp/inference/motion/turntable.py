@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 from pydantic import Field
 
-from rfpp.inference.motion.frames import Frames, Motion, with_cameras
+from rfpp.inference.motion.frames import Frames, Load, Motion, with_cameras
 from rfpp.scene.packed import PackedScene
 from rfpp.scene.spec import Scene
 from rfpp.scene.triangles import SceneTriangles
@@ -32,8 +32,8 @@ class _Orbit(Motion):
     def _angle(self, share: float) -> float:
         """In radians, counter-clockwise from above, after this share of the film."""
 
-    def frames_of(self, scene: Path, camera: int) -> Sequence[PackedScene]:
-        start = with_cameras(Scene.load(scene), [camera])
+    def frames_of(self, scene: Path, camera: int, load: Load = Scene.load) -> Sequence[PackedScene]:
+        start = with_cameras(load(scene), [camera])
         middle = _middle(start.triangles)
 
         def at(number: int) -> PackedScene:

@@ -1,0 +1,63 @@
+"""Look at a scene and edit it in a browser while a trained network renders it.
+
+    python launch/view.py scene=data/scenes/cornell_box.json \\
+        checkpoint=data/runs/quickstart/latest/checkpoints/best.ckpt
+
+Drag to turn, scroll to come closer, drag with the right button to move. The page is for this machine only unless
+host=0.0.0.0 says otherwise: whoever can open it can use this machine's processor.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from pathlib import Path
+
+from hydra.utils import instantiate
+from omegaconf import DictConfig, OmegaConf
+from rich.console import Console
+
+from rfpp import Renderer, Scene
+from rfpp.entry import CONFIG_DIR, entry_point, required, settings
+from rfpp.errors import MissingDependencyError
+from rfpp.tone_maps import ToneMap
+from rfpp.training.tracking.registry import checkpoint_file
+
+
+@entry_point("view", CONFIG_DIR / "view")
+def main(cfg: DictConfig) -> None:
+    """Serve the page until Ctrl-C."""
+    try:
+        from rfpp.viewer.reference import PathTracer
+        from rfpp.viewer.server import Viewer
+    except ImportError as error:
+        raise MissingDependencyError(f"the viewer needs viser ({error}): pip install -e '.[viewer]'") from None
+    checkpoint = checkpoint_file(required(cfg, "checkpoint"), cfg.registry.tracking_uri, Path(cfg.registry.folder))
+    renderer = Renderer.load(checkpoint, cfg.device, cfg.precision)
+    viewer = Viewer(
+        renderer,
+        Scene.load(cfg.scene),
+        tone_maps(),
+        PathTracer(instantiate(settings("reference", "reference_settings", cfg.reference_settings))),
+        host=cfg.host,
+        port=cfg.port,
+        longer_side=cfg.resolution or max(renderer.info.resolution),
+        moving_seconds=cfg.moving_seconds,
+    )
+    console = Console(highlight=False, soft_wrap=True)
+    with viewer:
+        console.print(f"{viewer.url}   (Ctrl-C ends it)")
+        try:
+            threading.Event().wait()
+        except KeyboardInterrupt:
+            console.print("Closed.")
+
+
+def tone_maps() -> dict[str, Callable[..., ToneMap]]:
+    """By their names in conf/render/tone_map, sRGB first."""
+    files = sorted((CONFIG_DIR / "render" / "tone_map").glob("*.yaml"), key=lambda file: file.stem != "srgb")
+    return {file.stem: instantiate(OmegaConf.load(file), _partial_=True) for file in files}
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,160 @@
+"""What one visitor looks at: their scene, their camera, and a thread that draws it again whenever one changes."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import UInt8
+
+from rfpp.errors import UserError
+from rfpp.inference.renderer import Renderer
+from rfpp.scene.packed import PackedScene, pack
+from rfpp.scene.spec import Camera, Scene
+from rfpp.tone_maps import ToneMap
+from rfpp.viewer.comparison import Comparison, enlarged
+from rfpp.viewer.pacing import Pacing
+from rfpp.viewer.reference import Reference
+from rfpp.viewer.shown import Shown
+
+Picture = UInt8[np.ndarray, "h w 3"]
+
+#: Seconds without a change after which the image is drawn at its full size.
+_AT_REST_AFTER = 0.2
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """Everything a picture depends on.
+
+    Attributes:
+        scene: with the visitor's edits; its cameras do not matter.
+        camera: theirs.
+        aspect: width / height of their window.
+        shown: what of the scene.
+        tone_map: of the picture.
+        longer_side: pixels at rest.
+        reference: path-traced earlier, if there is one.
+        comparison: with it, if it is of this view.
+        share: of the window that belongs to the picture, where it is compared.
+    """
+
+    scene: Scene | PackedScene
+    camera: Camera
+    aspect: float
+    shown: Shown
+    tone_map: ToneMap
+    longer_side: int
+    reference: Reference | None = None
+    comparison: Comparison | None = None
+    share: float = 0.5
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """A picture and what it took.
+
+    Attributes:
+        picture: 8 bits.
+        rendered: (height, width) of the network's image.
+        seconds: from scene to picture.
+        encoded: objects whose tokens were made anew.
+        objects: in the scene.
+        compared: the reference is in the picture.
+    """
+
+    picture: Picture
+    rendered: tuple[int, int]
+    seconds: float
+    encoded: int
+    objects: int
+    compared: bool
+
+
+class Session:
+    """Draws the newest view of one visitor: small while it changes, in full once it rests.
+
+    Args:
+        renderer: shared by all visitors.
+        turn: a lock, so that they render one after another.
+        view: to begin with.
+        show: called with each picture, from the session's thread.
+        complain: called with one line where a view cannot be drawn.
+        moving_seconds: an image in motion may take.
+    """
+
+    def __init__(
+        self,
+        renderer: Renderer,
+        turn: threading.Lock,
+        view: View,
+        show: Callable[[Drawn], None],
+        complain: Callable[[str], None],
+        moving_seconds: float | int,
+    ):
+        self.renderer, self._turn, self._show, self._complain = renderer, turn, show, complain
+        self.pacing = Pacing(renderer.network.patch_size, moving_seconds)
+        self._view, self._closed = view, False
+        self._changed = threading.Condition()
+        self._packed: tuple[Scene | PackedScene, PackedScene] | None = None
+        self._thread = threading.Thread(target=self._draw_on, name="viewer session", daemon=True)
+        self._thread.start()
+
+    @property
+    def view(self) -> View:
+        """The newest."""
+        return self._view
+
+    def change(self, **values: object) -> None:
+        """Parts of the view."""
+        with self._changed:
+            self._view = replace(self._view, **values)
+            self._changed.notify()
+
+    def close(self) -> None:
+        """End the thread, after the picture it is at."""
+        with self._changed:
+            self._closed = True
+            self._changed.notify()
+
+    def packed(self, view: View) -> PackedScene:
+        """The view's scene, seen by its camera alone."""
+        if self._packed is None or self._packed[0] is not view.scene:
+            self._packed = view.scene, pack(view.scene)
+        return self._packed[1].seen_by([view.camera])
+
+    def _draw_on(self) -> None:
+        drawn, small = None, False
+        while (view := self._wanted(drawn, small)) is not None:
+            full = self.pacing.size(view.longer_side, view.aspect)
+            size = full if view is drawn else self.pacing.moving_size(view.longer_side, view.aspect)
+            try:
+                self._show(self._draw(view, size, full))
+            except UserError as error:
+                self._complain(str(error))
+            drawn, small = view, size != full
+
+    def _wanted(self, drawn: View | None, small: bool) -> View | None:
+        """The next to be drawn: a new one, or, once it rests, one that was drawn small. None when the visitor left."""
+        with self._changed:
+            rest = _AT_REST_AFTER if small else None
+            self._changed.wait_for(lambda: self._closed or self._view is not drawn, rest)
+            return None if self._closed else self._view
+
+    def _draw(self, view: View, size: tuple[int, int], full: tuple[int, int]) -> Drawn:
+        objects = self.renderer.objects
+        with self._turn:
+            before, begin = objects.encoded if objects else 0, time.perf_counter()
+            scene = self.packed(view)
+            picture = view.shown.picture(scene, size, view.tone_map)
+            seconds = time.perf_counter() - begin
+            encoded = objects.encoded - before if objects else 0
+        self.pacing.took(size, seconds)
+        compared = bool(view.comparison and view.reference and view.reference.shows(view.scene, view.camera, full))
+        if compared:
+            reference = view.tone_map(view.reference.radiance)
+            picture = view.comparison(enlarged(picture, full), reference, view.share)
+        return Drawn(picture, size, seconds, encoded, scene.triangles.num_objects, compared)

@@ -1,0 +1,55 @@
+"""A visitor's window: where its camera stands, in the project's words and in viser's."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import viser
+
+from rfpp.scene.camera import camera_to_world
+from rfpp.scene.packed import PackedScene
+from rfpp.scene.spec import Camera, Scene
+
+#: Shown until the browser has told its size.
+_SQUARE = 1.0
+
+
+def cameras_of(scene: Scene | PackedScene) -> tuple[Camera, ...]:
+    """A scene's cameras; those of a packed one turn about a point in front of them."""
+    if isinstance(scene, Scene):
+        return scene.cameras
+    return tuple(_camera(*pose) for pose in zip(scene.c2w.astype(float), scene.fov.tolist(), strict=True))
+
+
+def _camera(c2w: np.ndarray, fov: float) -> Camera:
+    position, backward, up = c2w[:3, 3], c2w[:3, 2], c2w[:3, 1]
+    return Camera(position=tuple(position), look_at=tuple(position - backward), up=tuple(up), fov=fov)
+
+
+def aspect_of(client: viser.ClientHandle) -> float:
+    """Width / height."""
+    return client.camera.aspect or _SQUARE
+
+
+def camera_of(client: viser.ClientHandle) -> Camera:
+    """Where the visitor stands. viser has the vertical field of view in radians, we the longer side's in degrees."""
+    half = math.tan(client.camera.fov / 2) * max(1.0, aspect_of(client))
+    return Camera(
+        position=tuple(client.camera.position.tolist()),
+        look_at=tuple(client.camera.look_at.tolist()),
+        up=tuple(client.camera.up_direction.tolist()),
+        fov=math.degrees(2 * math.atan(half)),
+    )
+
+
+def stand_at(client: viser.ClientHandle, camera: Camera, centre: tuple[float, float, float]) -> None:
+    """Put the visitor where a camera of the scene is; they turn about the point in front of it nearest to `centre`."""
+    forward = -camera_to_world(camera)[:3, 2]
+    distance = max(0.1, float(np.subtract(centre, camera.position) @ forward))
+    half = math.tan(math.radians(camera.fov) / 2) / max(1.0, aspect_of(client))
+    with client.atomic():
+        client.camera.up_direction = camera.up
+        client.camera.position = camera.position
+        client.camera.look_at = np.array(camera.position) + distance * forward
+        client.camera.fov = 2 * math.atan(half)

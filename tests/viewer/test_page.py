@@ -1,0 +1,106 @@
+"""The page as people use it, in Chromium: it shows the image, controls change it, nobody disturbs another."""
+
+import time
+import zipfile
+from io import BytesIO
+
+import numpy as np
+import pytest
+from browser import picture_of, requires_chromium
+from edited_scenes import scene
+
+from rfpp.scene.spec import Scene
+from rfpp.viewer.controls import scene_file
+
+pytestmark = requires_chromium
+
+
+def canvas(browser) -> np.ndarray:
+    return picture_of(browser.find_element("css selector", "canvas"))
+
+
+def until(condition, seconds=60):
+    """What the condition gives once it is true."""
+    deadline = time.monotonic() + seconds
+    while not (result := condition()):
+        assert time.monotonic() < deadline, "nothing happened"
+        time.sleep(0.2)
+    return result
+
+
+def status(browser) -> str:
+    text = browser.find_element("tag name", "body").text
+    return next((line for line in text.splitlines() if " ms, " in line), "")
+
+
+def settled(browser) -> np.ndarray:
+    """The picture once two looks at it are the same."""
+    until(lambda: status(browser))
+    before = None
+    while before is None or (before != (now := canvas(browser))).any():
+        before = canvas(browser)
+        time.sleep(1)
+    return now
+
+
+def press(browser, label: str, key: str, times: int) -> None:
+    """Keys on the slider of this label."""
+    rows = browser.find_elements(
+        "xpath", f"//*[normalize-space(text())='{label}']/ancestor::*[.//*[@role='slider']][1]"
+    )
+    slider = rows[0].find_element("css selector", "[role=slider]")
+    for _ in range(times):
+        slider.send_keys(key)
+
+
+@pytest.fixture
+def page(viewer, browser):  # in this order: the browser looks at its console before the server is gone
+    browser.get(viewer.url)
+    until(lambda: status(browser))
+    return browser
+
+
+def test_the_page_shows_the_scene_and_a_slider_changes_it(page):
+    from selenium.webdriver.common.keys import Keys
+
+    before = settled(page)
+    assert before.std() > 5  # not one colour
+    press(page, "Exposure (stops)", Keys.ARROW_RIGHT, 15)
+    until(lambda: canvas(page).mean() > before.mean() + 5)
+
+
+def test_a_dimmed_light_encodes_that_light_and_darkens_the_picture(page):
+    from selenium.webdriver.common.keys import Keys
+
+    before = settled(page)
+    press(page, "Light power", Keys.HOME, 1)
+    until(lambda: "1 of 6 objects encoded" in status(page) or abs(canvas(page).mean() - before.mean()) > 1)
+    assert (settled(page) != before).any()
+
+
+def test_visitors_do_not_disturb_each_other(page, viewer):
+    from selenium.webdriver.common.keys import Keys
+
+    before = settled(page)
+    first = page.current_window_handle
+    page.switch_to.new_window("window")
+    try:
+        page.set_window_size(1280, 900)
+        page.get(viewer.url)
+        mine = settled(page)
+        press(page, "Exposure (stops)", Keys.ARROW_RIGHT, 15)
+        until(lambda: canvas(page).mean() > mine.mean() + 5)
+    finally:
+        page.close()
+        page.switch_to.window(first)
+    assert abs(canvas(page).astype(int) - before).mean() < 1
+
+
+def test_a_saved_scene_is_loaded_again(tmp_path):
+    made = scene()
+    name, content = scene_file(made, made.cameras[1])
+    with zipfile.ZipFile(BytesIO(content)) as archive:
+        archive.extractall(tmp_path)
+    again = Scene.load(tmp_path / name.replace(".zip", ".json"))
+    assert [item.name for item in again.objects] == [item.name for item in made.objects]
+    assert again.cameras == (made.cameras[1],)
