@@ -22,7 +22,7 @@ from rfpp.errors import UserError
 from rfpp.inference.film import Film
 from rfpp.inference.gbuffers import GBufferSource
 from rfpp.inference.layers import exr_layers
-from rfpp.inference.motion.frames import with_cameras
+from rfpp.inference.motion.frames import Frames, with_cameras
 from rfpp.inference.references import path_traced
 from rfpp.inference.request import Request
 from rfpp.inference.stills import write_comparison, write_still
@@ -100,7 +100,7 @@ class Studio:
             self.console.print(f"  {file}, {file.with_suffix('.png').name}{note}")
         return files
 
-    def film(self, frames: Sequence[PackedScene], file: Path) -> Path:
+    def film(self, frames: Frames, file: Path) -> Path:
         """A film, whose frames stay in a folder of its name: the same command goes on with those that are missing."""
         film, say = Film(frames, file.with_name(f"{file.stem}_frames"), self.size), self.console.print
         begin = time.perf_counter()

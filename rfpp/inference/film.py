@@ -29,12 +29,12 @@ class Film:
     """Frames that a network renders, and that Cycles may path-trace too, each into a folder.
 
     Args:
-        frames: of a motion, each with one camera.
+        frames: of a motion, each a PackedScene with one camera, made when it is asked for.
         folder: of the rendered frames; the path-traced ones are in `reference` below it.
         size: (height, width) in pixels.
     """
 
-    def __init__(self, frames: Sequence[PackedScene], folder: Path, size: Size):
+    def __init__(self, frames: Sequence, folder: Path, size: Size):
         self.frames, self.folder, self.size = frames, folder, size
         self._predicted = self._traced = None
 

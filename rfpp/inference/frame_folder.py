@@ -42,7 +42,7 @@ class FrameFolder:
     def __init__(self, folder: Path, renderer: bytes):
         self.folder, self._renderer = folder, renderer
 
-    def missing(self, frames: Sequence[PackedScene]) -> Iterator[Shot]:
+    def missing(self, frames: Sequence) -> Iterator[Shot]:
         """The frames that are still to be rendered, in order."""
         for number in range(len(frames)):
             scene = frames[number]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -10,7 +9,7 @@ from pydantic import Field
 
 from rfpp.inference.motion.frames import Frames, Load, Motion, frames_between
 from rfpp.inference.motion.key_files import CameraTrack, Entries, read_keys
-from rfpp.scene.packed import PackedScene, pack
+from rfpp.scene.packed import pack
 from rfpp.scene.spec import Scene, Strict
 
 
@@ -35,7 +34,7 @@ class CameraPath(Motion):
     def name(self) -> str:
         return self.file.stem
 
-    def frames_of(self, scene: Path, camera: int, load: Load = Scene.load) -> Sequence[PackedScene]:
+    def frames_of(self, scene: Path, camera: int, load: Load = Scene.load) -> Frames:
         track = CameraTrack(read_keys(self.file, _CameraPathFile).camera, f"{self.file}: camera")
         still, start = pack(load(scene)), track.times[0]
         count = frames_between(start, track.times[-1], self.fps)

@@ -26,7 +26,7 @@ class Motion(Strict):
         """What the film is called after the scene, in file names."""
 
     @abstractmethod
-    def frames_of(self, scene: Path, camera: int, load: Load = Scene.load) -> Sequence[PackedScene]:
+    def frames_of(self, scene: Path, camera: int, load: Load = Scene.load) -> Frames:
         """The frames, each made when it is asked for. Neighbours of which only the camera moves share their triangles.
 
         Args:

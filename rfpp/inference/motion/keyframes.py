@@ -57,7 +57,7 @@ class Keyframes(Motion):
     def name(self) -> str:
         return self.file.stem
 
-    def frames_of(self, scene: Path, camera: int, load: Load = Scene.load) -> Sequence[PackedScene]:
+    def frames_of(self, scene: Path, camera: int, load: Load = Scene.load) -> Frames:
         content = read_keys(self.file, _KeyframeFile)
         still = load(scene)
         if not isinstance(still, Scene):

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
 from pathlib import Path
 
 from rfpp.errors import SceneError
 from rfpp.inference.motion.frames import Frames, Load, Motion, with_cameras
-from rfpp.scene.packed import PackedScene
 from rfpp.scene.spec import Scene
 
 
@@ -28,7 +26,7 @@ class NumberedScenes(Motion):
     def name(self) -> str:
         return "film"
 
-    def frames_of(self, scene: Path, camera: int, load: Load = Scene.load) -> Sequence[PackedScene]:
+    def frames_of(self, scene: Path, camera: int, load: Load = Scene.load) -> Frames:
         if not scene.is_dir():
             raise SceneError(f"{scene}: is not a folder: give the one that holds a scene file for each frame")
         files = self._in_order(scene)

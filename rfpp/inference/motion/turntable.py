@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
@@ -32,7 +31,7 @@ class _Orbit(Motion):
     def _angle(self, share: float) -> float:
         """In radians, counter-clockwise from above, after this share of the film."""
 
-    def frames_of(self, scene: Path, camera: int, load: Load = Scene.load) -> Sequence[PackedScene]:
+    def frames_of(self, scene: Path, camera: int, load: Load = Scene.load) -> Frames:
         start = with_cameras(load(scene), [camera])
         middle = _middle(start.triangles)
 
