@@ -44,10 +44,13 @@ def camera_of(client: viser.ClientHandle) -> Camera:
 
 
 def stand_at(client: viser.ClientHandle, camera: Camera, centre: tuple[float, float, float]) -> None:
-    """Put the visitor where a camera of the scene is; they turn about the point in front of it nearest to `centre`."""
+    """Put the visitor where a camera of the scene is, so that they see at least its square picture.
+
+    They turn about the point in front of it that is nearest to `centre`.
+    """
     forward = -camera_to_world(camera)[:3, 2]
     distance = max(0.1, float(np.subtract(centre, camera.position) @ forward))
-    half = math.tan(math.radians(camera.fov) / 2) / max(1.0, aspect_of(client))
+    half = math.tan(math.radians(camera.fov) / 2) / min(1.0, aspect_of(client))
     with client.atomic():
         client.camera.up_direction = camera.up
         client.camera.position = camera.position
