@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
 
-from pydantic import Field
-
-from rfpp.inference.motion.frames import Frames, Load, Motion, frames_between
+from rfpp.inference.motion.frames import Frames, KeyedMotion, Load, frames_between
 from rfpp.inference.motion.key_files import CameraTrack, Entries, read_keys
 from rfpp.scene.packed import pack
 from rfpp.scene.spec import Scene, Strict
 
 
-class CameraPath(Motion):
+class CameraPath(KeyedMotion):
     """The camera of a file, from its first key to its last; the scene's own cameras are not used.
 
         camera:
@@ -21,18 +18,7 @@ class CameraPath(Motion):
           - {time: 2, position: [1.5, -1.2, 0.6], look_at: [0, 0, 0], fov: 30}
 
     Times are seconds, the rest is a camera of a scene file. Place and target run along splines through the keys.
-
-    Attributes:
-        file: YAML or JSON.
-        fps: frames per second.
     """
-
-    file: Path
-    fps: Annotated[float, Field(gt=0, le=1000)]
-
-    @property
-    def name(self) -> str:
-        return self.file.stem
 
     def frames_of(self, scene: Path, camera: int, load: Load = Scene.load) -> Frames:
         track = CameraTrack(read_keys(self.file, _CameraPathFile).camera, f"{self.file}: camera")

@@ -6,6 +6,9 @@ from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
+
+from pydantic import Field
 
 from rfpp.errors import UserError
 from rfpp.scene.packed import PackedScene, pack
@@ -39,8 +42,24 @@ class Motion(Strict):
         """
 
 
+class KeyedMotion(Motion):
+    """A film from the first key of a file to the last.
+
+    Attributes:
+        file: YAML or JSON.
+        fps: frames per second.
+    """
+
+    file: Path
+    fps: Annotated[float, Field(gt=0, le=1000)]
+
+    @property
+    def name(self) -> str:
+        return self.file.stem
+
+
 @dataclass(frozen=True)
-class Frames(Sequence[PackedScene]):
+class Frames(Sequence):  # of PackedScene, said here: a type checker that knew would make a frame to look at it
     """So many frames, made by `at` each time they are asked for."""
 
     length: int

@@ -13,7 +13,7 @@ from pydantic import Field
 
 from rfpp.errors import SceneError
 from rfpp.inference.motion.curves import Curve, bounded, flowing, turning
-from rfpp.inference.motion.frames import Frames, Load, Motion, frames_between, with_cameras
+from rfpp.inference.motion.frames import Frames, KeyedMotion, Load, frames_between, with_cameras
 from rfpp.inference.motion.key_files import (
     CameraTrack,
     Entries,
@@ -28,7 +28,7 @@ from rfpp.scene.spec import Material, Radiance, Reflectance, Scene, SceneObject,
 from rfpp.scene.triangles import SceneTriangles
 
 
-class Keyframes(Motion):
+class Keyframes(KeyedMotion):
     """Objects of the scene, lights among them, through the keys of a file; what the file does not name stays.
 
         objects:
@@ -44,18 +44,7 @@ class Keyframes(Motion):
     Keys hold parts of an object's `transform` and `material` by the names of scene files. Each part runs through those
     keys that name it, and keeps the first one's value before and the last one's after: translations along splines,
     rotations by slerp, everything else without leaving the values of its keys.
-
-    Attributes:
-        file: YAML or JSON.
-        fps: frames per second, from the first key of all to the last.
     """
-
-    file: Path
-    fps: Annotated[float, Field(gt=0, le=1000)]
-
-    @property
-    def name(self) -> str:
-        return self.file.stem
 
     def frames_of(self, scene: Path, camera: int, load: Load = Scene.load) -> Frames:
         content = read_keys(self.file, _KeyframeFile)
