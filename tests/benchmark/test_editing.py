@@ -47,7 +47,8 @@ def test_a_large_scene_is_rendered_and_weighed():
     assert [row["step"] for row in rows] == ["triangles packed", "rendered", "rendered with an object moved"]
     peaks = [row["peak_GB"] for row in rows]
     assert peaks == sorted(peaks)
-    assert 0.05e9 < 1e9 * peaks[-1] <= peak_resident()
+    # the kernel counts pages for each thread and adds them up now and then
+    assert 0.05e9 < 1e9 * peaks[-1] < 1.01 * peak_resident()
 
 
 @pytest.mark.parametrize(("triangles", "objects"), [(60, 4), (62, 4), (6, 2), (1000, 28)])
