@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import traceback
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -69,6 +70,9 @@ class PathTracer:
                 done(Reference(radiance, seconds, scene, camera))
             except UserError as error:
                 failed(str(error))
+            except Exception:  # a defect: the executor would keep it to itself
+                failed("path tracing broke down: the viewer's terminal says how")
+                traceback.print_exc()
 
         self._beside.submit(work)
 
