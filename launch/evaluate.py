@@ -52,7 +52,7 @@ def main(cfg: DictConfig) -> list[Evaluation]:
     outputs = _outputs(checkpoints, cfg.output, splits[0].manifest.name)
     device = torch.device(cfg.device or ("cuda" if torch.cuda.is_available() else "cpu"))
     lpips = LPIPS.pretrained(cfg.loss.lpips_trunk_path) if cfg.evaluation.lpips else None
-    metrics = ImageMetrics(lpips, cfg.evaluation.by_bounce)
+    metrics = ImageMetrics(lpips, cfg.evaluation.detailed)
     baselines = fitted_baselines(ShardSplit(cfg.data.root, "train", cache), cfg.evaluation.baseline_scenes)
     beside = []
     with _bar(console) as bar:

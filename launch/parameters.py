@@ -1,4 +1,4 @@
-"""Count the parameters of every network in the paper's tables, stage by stage.
+"""Count the parameters of every network in the paper's tables and of those beyond it, stage by stage.
 
 python launch/parameters.py --size base
 """

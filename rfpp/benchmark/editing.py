@@ -13,6 +13,7 @@ import torch
 
 from rfpp.benchmark.spheres import LAMP, camera, spheres
 from rfpp.inference.checkpoint import CheckpointInfo
+from rfpp.inference.precision import matrix_dtype
 from rfpp.inference.renderer import Renderer
 from rfpp.model.renderformer_pp import RenderFormerPP
 from rfpp.scene.packed import pack
@@ -84,6 +85,7 @@ def setting_columns(network: RenderFormerPP, triangles: int, objects: int, resol
         "resolution": resolution,
         "parameters_M": sum(p.numel() for p in network.parameters()) / 1e6,
         "device": device,
+        "precision": str(_dtype(device)).removeprefix("torch."),
         "threads": torch.get_num_threads(),
     }
 
@@ -91,7 +93,12 @@ def setting_columns(network: RenderFormerPP, triangles: int, objects: int, resol
 def renderer(network: RenderFormerPP, resolution: int, device: str) -> Renderer:
     """One that remembers nothing yet, of an untrained network."""
     about = {"data_manifest": "none", "dataset": "none", "method": "untrained", "seed": 0, "steps": 0}
-    return Renderer(network, CheckpointInfo({}, (resolution, resolution), **about), device)
+    return Renderer(network, CheckpointInfo({}, (resolution, resolution), **about), device, _dtype(device))
+
+
+def _dtype(device: str) -> torch.dtype:
+    """As renderers choose by themselves."""
+    return matrix_dtype("auto", torch.device(device))
 
 
 def timed(call: Callable[[], Result]) -> tuple[Result, float]:

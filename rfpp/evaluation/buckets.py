@@ -17,7 +17,7 @@ class Bucket:
 
     Attributes:
         split: of the scenes.
-        counted: "triangles" or "objects"; every light is an object too.
+        counted: "triangles", "objects" or "lights"; every light is an object too.
         start, stop: the range, `start` included and `stop` not; None means without end.
         estimates: by metric name.
     """
@@ -38,7 +38,7 @@ def bucketed(records: Sequence[SceneRecord], edges: Mapping[str, Sequence[int]],
     """The buckets that hold a scene, by split, count and range; the network's records alone.
 
     Args:
-        edges: "triangles" and "objects" → where one range ends and the next begins.
+        edges: "triangles", "objects", "lights" → where one range ends and the next begins.
 
     Raises:
         UserError: edges that do not increase from a positive number.

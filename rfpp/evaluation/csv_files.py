@@ -32,7 +32,10 @@ def write_records(images: Sequence[ImageRecord], scenes: Sequence[SceneRecord], 
             {"scene": r.scene, "view": r.view, "predictor": r.predictor, **r.values} for r in images if r.split == split
         ]
         of_scenes = [
-            {"scene": r.scene, "triangles": r.triangles, "objects": r.objects, "predictor": r.predictor, **r.values}
+            {
+                **{name: getattr(r, name) for name in ("scene", "triangles", "objects", "lights", "predictor")},
+                **r.values,
+            }
             for r in scenes
             if r.split == split
         ]
@@ -45,7 +48,7 @@ def read_scenes(folder: Path, split: str, metrics: Sequence[str]) -> list[SceneR
     return _read(
         folder / f"{split}_scenes.csv",
         lambda row: SceneRecord(
-            split, row["scene"], int(row["triangles"]), int(row["objects"]), row["predictor"],
+            split, row["scene"], *(int(row[name]) for name in ("triangles", "objects", "lights")), row["predictor"],
             {name: float(row[name]) for name in metrics},
         ),
     )  # fmt: skip

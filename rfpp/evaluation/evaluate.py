@@ -13,13 +13,27 @@ from torch import Tensor, nn
 from rfpp.batch import RaggedBatch
 from rfpp.errors import ShardError, UserError
 from rfpp.evaluation.records import MODEL, ImageRecord
-from rfpp.metrics.baselines import CHANNELS, AlbedoTimesConstant, Baseline, Black, DirectLightAlone, MeanImage
+from rfpp.gbuffer.first_hit import CHANNELS as CHANNEL_SIZES
+from rfpp.metrics.baselines import (
+    CHANNELS,
+    AlbedoTimesConstant,
+    Baseline,
+    Black,
+    DirectLightAlone,
+    DirectLightReflected,
+    MeanImage,
+)
 from rfpp.metrics.image import ImageMetrics
+from rfpp.metrics.l1_parts import CHANNELS as PART_CHANNELS
 from rfpp.radiance import log_decode
 from rfpp.shards.stream import ShardSplit
 from rfpp.training.views import select_views
 
 OnScene = Callable[[], None]
+
+#: What is known of every view beside its image, for baselines and for detailed metrics.
+_KNOWN = (*CHANNELS, *PART_CHANNELS)
+_SIZES = [CHANNEL_SIZES[name] for name in _KNOWN]
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,17 +42,18 @@ class RenderedScene:
 
     Attributes:
         key: of the stored scene.
-        triangles, objects: how many it holds; every light is an object too.
+        triangles, objects, lights: how many it holds; every light is an object too.
         reference, prediction: [V, 3, H, W] linear radiance.
-        gbuffer: the channels that baselines predict from, [V, 3, H, W] each.
+        gbuffer: the channels that baselines predict from and parts of L1 are told by, [V, 3 or 1, H, W] each.
     """
 
     key: str
     triangles: int
     objects: int
+    lights: int
     reference: Float[Tensor, "v 3 h w"]
     prediction: Float[Tensor, "v 3 h w"]
-    gbuffer: dict[str, Float[Tensor, "v 3 h w"]]
+    gbuffer: dict[str, Float[Tensor, "v _ h w"]]
 
 
 @torch.no_grad()
@@ -50,19 +65,20 @@ def render_stored(network: nn.Module, split: ShardSplit, index: int, device: tor
     """
     sample = split[index]
     wanted = tuple(network.gbuffer_channels)
-    views = select_views(sample, range(len(sample.fov)), (*wanted, *CHANNELS))
+    views = select_views(sample, range(len(sample.fov)), (*wanted, *_KNOWN))
     batch = RaggedBatch.pack([views]).to(device)
     if any(side % network.patch_size for side in batch.resolution):
         raise UserError(
             f"{split.manifest.root}: images of {batch.resolution[0]}x{batch.resolution[1]} pixels are not divisible by "
             f"the checkpoint's patch size {network.patch_size}: evaluate on data of another resolution"
         )
-    for_network, for_baselines = batch.gbuffer.tensor_split([-3 * len(CHANNELS)], dim=2)
+    for_network, for_baselines = batch.gbuffer.tensor_split([-sum(_SIZES)], dim=2)
     rendering = network(replace(batch, gbuffer=for_network))
     return RenderedScene(
         key=sample.key,
         triangles=len(sample.triangles),
         objects=sample.triangles.num_objects,
+        lights=sample.triangles.num_lights,
         reference=batch.image[0],
         prediction=log_decode(rendering.log_radiance[0].float()),
         gbuffer=_by_name(for_baselines[0]),
@@ -84,9 +100,8 @@ def network_records(
     records = []
     for index in _scenes(split):
         scene = render_stored(network, split, index, device)
-        at = (split.split, scene.key, scene.triangles, scene.objects)
-        direct = DirectLightAlone().predict(scene.gbuffer)
-        records += _image_records(at, MODEL, metrics(scene.prediction, scene.reference, direct))
+        at = (split.split, scene.key, scene.triangles, scene.objects, scene.lights)
+        records += _image_records(at, MODEL, metrics(scene.prediction, scene.reference, scene.gbuffer))
         on_scene()
     return records
 
@@ -101,20 +116,20 @@ def baseline_records(
     records = []
     for index in _scenes(split):
         sample = split[index]
-        views = select_views(sample, range(len(sample.fov)), CHANNELS)
+        views = select_views(sample, range(len(sample.fov)), _KNOWN)
         gbuffer = _by_name(torch.from_numpy(views.gbuffer).to(device))
         reference = torch.from_numpy(views.image).to(device)
-        direct = DirectLightAlone().predict(gbuffer)
-        at = (split.split, sample.key, len(sample.triangles), sample.triangles.num_objects)
+        counts = (len(sample.triangles), sample.triangles.num_objects, sample.triangles.num_lights)
         for baseline in baselines:
-            records += _image_records(at, baseline.name, metrics(baseline.predict(gbuffer), reference, direct))
+            values = metrics(baseline.predict(gbuffer), reference, gbuffer)
+            records += _image_records((split.split, sample.key, *counts), baseline.name, values)
         on_scene()
     return records
 
 
 def fitted_baselines(train: ShardSplit, scenes: int) -> list[Baseline]:
     """Every trivial baseline, fitted on evenly spaced training scenes, at most `scenes` of them."""
-    baselines = (Black(), MeanImage(), AlbedoTimesConstant(), DirectLightAlone())
+    baselines = (Black(), MeanImage(), AlbedoTimesConstant(), DirectLightAlone(), DirectLightReflected())
     return [baseline.fit(_training_views(train, scenes)) for baseline in baselines]
 
 
@@ -125,13 +140,13 @@ def _scenes(split: ShardSplit) -> range:
 
 
 def _image_records(
-    at: tuple[str, str, int, int], predictor: str, values: Mapping[str, Float[Tensor, " v"]]
+    at: tuple[str, str, int, int, int], predictor: str, values: Mapping[str, Float[Tensor, " v"]]
 ) -> list[ImageRecord]:
-    """Of all views of one scene. Args: at: split, scene, triangles, objects."""
-    split, scene, triangles, objects = at
+    """Of all views of one scene. Args: at: split, scene, triangles, objects, lights."""
+    split, scene, *counts = at
     by_view = zip(*(column.tolist() for column in values.values()), strict=True)
     return [
-        ImageRecord(split, scene, view, triangles, objects, predictor, dict(zip(values, numbers, strict=True)))
+        ImageRecord(split, scene, view, *counts, predictor, dict(zip(values, numbers, strict=True)))
         for view, numbers in enumerate(by_view)
     ]
 
@@ -141,9 +156,9 @@ def _training_views(split: ShardSplit, scenes: int) -> Iterator[tuple[dict[str, 
     count = min(scenes, len(split))
     for index in np.linspace(0, len(split) - 1, count).round().astype(int):
         sample = split[int(index)]
-        views = select_views(sample, range(len(sample.fov)), CHANNELS)
+        views = select_views(sample, range(len(sample.fov)), _KNOWN)
         yield _by_name(torch.from_numpy(views.gbuffer)), torch.from_numpy(views.image)
 
 
-def _by_name(gbuffer: Float[Tensor, "v c h w"]) -> dict[str, Float[Tensor, "v 3 h w"]]:
-    return dict(zip(CHANNELS, gbuffer.split(3, dim=1), strict=True))
+def _by_name(gbuffer: Float[Tensor, "v c h w"]) -> dict[str, Float[Tensor, "v _ h w"]]:
+    return dict(zip(_KNOWN, gbuffer.split(_SIZES, dim=1), strict=True))

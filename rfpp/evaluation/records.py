@@ -18,7 +18,7 @@ class ImageRecord:
 
     Attributes:
         split, scene, view: which image.
-        triangles, objects: in its scene; every light is an object too.
+        triangles, objects, lights: in its scene; every light is an object too.
         predictor: "model" or the name of a baseline.
         values: by metric name.
     """
@@ -28,6 +28,7 @@ class ImageRecord:
     view: int
     triangles: int
     objects: int
+    lights: int
     predictor: str
     values: Values
 
@@ -43,6 +44,7 @@ class SceneRecord:
     scene: str
     triangles: int
     objects: int
+    lights: int
     predictor: str
     values: Values
 
@@ -51,7 +53,7 @@ def scene_records(records: Iterable[ImageRecord]) -> list[SceneRecord]:
     """One record per split, predictor and scene, in the order of their first images."""
     grouped = defaultdict(list)
     for r in records:
-        grouped[r.split, r.scene, r.triangles, r.objects, r.predictor].append(r.values)
+        grouped[r.split, r.scene, r.triangles, r.objects, r.lights, r.predictor].append(r.values)
     return [SceneRecord(*key, _mean(values)) for key, values in grouped.items()]
 
 

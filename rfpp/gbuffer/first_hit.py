@@ -14,10 +14,14 @@ from rfpp.gbuffer.raycast import RayCaster
 from rfpp.scene.camera import pixel_plane, pixel_rays
 from rfpp.scene.triangles import DIFFUSE, ROUGHNESS, SPECULAR, SceneTriangles
 
-#: Channels that hold light, in the units of `DirectLight`.
-LIGHT_CHANNELS = ("direct_diffuse", "direct_glossy")
+#: Channels of direct light, in the units of `DirectLight`.
+DIRECT_CHANNELS = ("direct_diffuse", "direct_glossy")
+#: Channels of what shiny surfaces show, in the units of `Reflection`.
+REFLECTION_CHANNELS = ("reflected_light", "reflected_albedo")
+#: Channels that hold light.
+LIGHT_CHANNELS = (*DIRECT_CHANNELS, "reflected_light")
 #: Channels whose three numbers are red, green and blue.
-COLOUR_CHANNELS = ("albedo", "specular", *LIGHT_CHANNELS)
+COLOUR_CHANNELS = ("albedo", "specular", *DIRECT_CHANNELS, *REFLECTION_CHANNELS)
 #: The geometry-buffer channels a network may ask for, and how many numbers each has.
 CHANNELS: dict[str, int] = {"normal": 3, "roughness": 1, "depth": 1, "position": 3} | dict.fromkeys(COLOUR_CHANNELS, 3)
 
@@ -39,6 +43,20 @@ class DirectLight:
 
 
 @dataclass(frozen=True, eq=False)
+class Reflection:
+    """What the glossy lobe of a surface gathers of other surfaces, which are lit by the emitters alone.
+
+    Attributes:
+        light: [H, W, 3] float32: times the specular albedo it is outgoing radiance.
+        albedo: [H, W, 3] float32 diffuse plus specular albedo of what is reflected, weighted as the light is.
+            Both are zeros where nothing is hit, nothing shines, or nothing is reflected.
+    """
+
+    light: Float[np.ndarray, "h w 3"]
+    albedo: Float[np.ndarray, "h w 3"]
+
+
+@dataclass(frozen=True, eq=False)
 class GBuffer:
     """What one camera sees first through each pixel's centre. Lights are invisible to the camera.
 
@@ -48,12 +66,14 @@ class GBuffer:
             zeros where nothing is hit.
         depth: [H, W] float32 distance along the camera's -Z axis (not along the ray); 0 where nothing is hit.
         light: what reaches the hits straight from the lights, if it was asked for (`rfpp.gbuffer.direct_light`).
+        reflection: what shiny surfaces show, if it was asked for (`rfpp.gbuffer.reflection`).
     """
 
     triangle: Int[np.ndarray, "h w"]
     normal: Float[np.ndarray, "h w 3"]
     depth: Float[np.ndarray, "h w"]
     light: DirectLight | None = None
+    reflection: Reflection | None = None
 
     @property
     def hit(self) -> np.ndarray:
@@ -93,7 +113,7 @@ def first_hit(
     triangle[seen] = visible[hits.triangle[seen]]
 
     normal = np.zeros((len(seen), 3), np.float32)
-    normal[seen] = _facing_normals(triangles, triangle[seen], hits.barycentric[seen], directions[seen])
+    normal[seen] = facing_normals(triangles, triangle[seen], hits.barycentric[seen], directions[seen])
     forward = -c2w[:3, 2]
     depth = np.where(seen, hits.distance, 0) * (directions @ forward)
     return GBuffer(
@@ -114,7 +134,7 @@ def stack_channels(
 
     Raises:
         UserError: a name that is no channel.
-        ValueError: a channel of light from a G-buffer that has none.
+        ValueError: a channel of direct light or of reflection from a G-buffer that has none.
     """
     height, width = gbuffer.depth.shape
     channels = [channel(gbuffer, material, fov, name) for name in names]
@@ -134,10 +154,14 @@ def channel(
         return gbuffer.depth[..., None]
     if name == "position":
         return camera_positions(gbuffer.depth, fov)
-    if name in LIGHT_CHANNELS:
+    if name in DIRECT_CHANNELS:
         if gbuffer.light is None:
             raise ValueError(f"'{name}' was asked of a G-buffer without direct light: see with_direct_light")
         return gbuffer.light.diffuse if name == "direct_diffuse" else gbuffer.light.glossy
+    if name in REFLECTION_CHANNELS:
+        if gbuffer.reflection is None:
+            raise ValueError(f"'{name}' was asked of a G-buffer without reflection: see with_reflection")
+        return gbuffer.reflection.light if name == "reflected_light" else gbuffer.reflection.albedo
     raise UserError(f"G-buffer channel '{name}' does not exist: choose from {', '.join(CHANNELS)}")
 
 
@@ -152,10 +176,15 @@ def object_ids(gbuffer: GBuffer, triangles: SceneTriangles) -> Int[np.ndarray, "
     return np.where(gbuffer.hit, triangles.object_index[gbuffer.triangle], -1).astype(np.int32)
 
 
-def _facing_normals(
+def facing_normals(
     triangles: SceneTriangles, hit: np.ndarray, barycentric: np.ndarray, directions: np.ndarray
 ) -> np.ndarray:
-    """[R, 3] unit world shading normals, flipped where the ray meets the back of the triangle."""
+    """[R, 3] unit world shading normals, flipped where a ray of these [R, 3] directions meets the triangle's back.
+
+    Args:
+        hit: [R] triangles.
+        barycentric: [R, 3] weights of their corners.
+    """
     normals = np.einsum("rc,rcx->rx", barycentric, triangles.normals[hit])
     normals /= np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-12)
     corners = triangles.positions[hit]

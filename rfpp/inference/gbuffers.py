@@ -9,9 +9,17 @@ import numpy as np
 from jaxtyping import Float
 
 from rfpp.gbuffer.direct_light import with_direct_light
-from rfpp.gbuffer.first_hit import LIGHT_CHANNELS, GBuffer, camera_caster, first_hit, stack_channels
+from rfpp.gbuffer.first_hit import (
+    DIRECT_CHANNELS,
+    REFLECTION_CHANNELS,
+    GBuffer,
+    camera_caster,
+    first_hit,
+    stack_channels,
+)
 from rfpp.gbuffer.light_sampler import LightSampler
 from rfpp.gbuffer.raycast import RayCaster
+from rfpp.gbuffer.reflection import with_reflection
 from rfpp.inference.bounded_cache import BoundedCache
 from rfpp.scene.packed import PackedScene
 from rfpp.scene.triangles import SceneTriangles
@@ -28,8 +36,8 @@ class GBufferSource:
     """The G-buffer channels of views, which keeps what cameras saw first and the structures that rays are cast into.
 
     First hits depend on the triangles' positions and normals, on which of them emit, and on the camera: new colours or
-    another power of a light change none of them. Materials are looked up anew in every G-buffer, direct light is
-    gathered anew.
+    another power of a light change none of them. Materials are looked up anew in every G-buffer, direct light and
+    reflections are gathered anew.
 
     Args:
         channels: names from `rfpp.gbuffer.first_hit.CHANNELS`, in order.
@@ -46,7 +54,7 @@ class GBufferSource:
         """View number → its channels; no ray is cast before a view is asked for, and none for no channels.
 
         Args:
-            light_samples: see `rfpp.gbuffer.direct_light.with_direct_light`.
+            light_samples: see `with_direct_light` and `with_reflection`.
         """
         if not self.channels:
             return lambda view: np.zeros((0, height, width), np.float32)
@@ -56,8 +64,9 @@ class GBufferSource:
         def channels(view: int) -> Float[np.ndarray, "c h w"]:
             c2w, fov = scene.c2w[view], scene.fov[view]
             gbuffer = self._first_hit(triangles, geometry, c2w, fov, height, width)
-            if set(self.channels) & set(LIGHT_CHANNELS):
-                gbuffer = with_direct_light(gbuffer, c2w, fov, self._lights(triangles, geometry), light_samples)
+            for gather, light in ((with_direct_light, DIRECT_CHANNELS), (with_reflection, REFLECTION_CHANNELS)):
+                if not set(self.channels).isdisjoint(light):
+                    gbuffer = gather(gbuffer, c2w, fov, self._lights(triangles, geometry), light_samples)
             return stack_channels(gbuffer, triangles.material, fov, self.channels)
 
         return channels

@@ -103,7 +103,8 @@ class Renderer:
             scene: what to render.
             resolution: pixels, a number for square images or (height, width); None is the training resolution.
             cameras: None renders the scene's own.
-            light_samples: shadow rays per light and pixel, for networks that are given the direct light.
+            light_samples: shadow rays per light and pixel, and rays into reflections, for networks that are given
+                direct light or reflections.
 
         Raises:
             SceneError: there is no camera.

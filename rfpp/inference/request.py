@@ -43,7 +43,7 @@ class Request(Strict):
         triangles, up: of `Scene.load`.
         layers: G-buffer channels for the EXR.
         exposure: stops.
-        light_samples: shadow rays per light and pixel.
+        light_samples: shadow rays per light and pixel, and rays into reflections.
         fps: of films.
         reference, reference_settings: whether Cycles renders too, and by which file of conf/reference.
         device: of torch, or None to choose.

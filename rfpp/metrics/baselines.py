@@ -17,7 +17,7 @@ from rfpp.radiance import log_decode, log_encode
 Images = Float[Tensor, "n 3 h w"]
 
 #: The G-buffer channels that predictors are given, all of three numbers.
-CHANNELS = ("albedo", "specular", "direct_diffuse", "direct_glossy")
+CHANNELS = ("albedo", "specular", "direct_diffuse", "direct_glossy", "reflected_light")
 
 
 class Baseline(ABC):
@@ -50,6 +50,15 @@ class DirectLightAlone(Baseline):
 
     def predict(self, gbuffer: Mapping[str, Images]) -> Images:
         return gbuffer["albedo"] * gbuffer["direct_diffuse"] + gbuffer["specular"] * gbuffer["direct_glossy"]
+
+
+class DirectLightReflected(DirectLightAlone):
+    """Predicts the first bounce and its reflection in shiny surfaces, and nothing of what follows."""
+
+    name = "direct light and reflections"
+
+    def predict(self, gbuffer: Mapping[str, Images]) -> Images:
+        return super().predict(gbuffer) + gbuffer["specular"] * gbuffer["reflected_light"]
 
 
 class MeanImage(Baseline):

@@ -5,6 +5,7 @@ What each metric is, which way it improves, and which tone map and epsilon it us
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 
@@ -13,6 +14,7 @@ from jaxtyping import Float
 from torch import Tensor
 from torchmetrics.functional.image import structural_similarity_index_measure
 
+from rfpp.metrics.l1_parts import GLOSSY, SMOOTH, l1_parts
 from rfpp.metrics.lpips import LPIPS
 from rfpp.radiance import log_encode, perceptual
 
@@ -56,8 +58,12 @@ METRICS = MappingProxyType(
         "lpips": Metric("LPIPS", False, f"VGG16 v0.1 on {TONE_MAP} scaled to [-1, 1]", 4),
         "ssim": Metric("SSIM", True, f"11x11 Gaussian, sigma 1.5, range 1, mirrored border, on {TONE_MAP}", 4),
         "psnr": Metric("PSNR", True, f"dB, peak 1, on {TONE_MAP}", 2),
+        "gradient": Metric("grad.", False, f"mean |∂I(x) - ∂I(y)| along rows and columns of {TONE_MAP}", 4),
         "l1_direct": Metric("direct", False, "L1 of direct light: mean |x - y| d, d: its share in y, linear HDR", 4),
         "l1_indirect": Metric("indir.", False, "L1 of indirect light: mean |x - y| (1 - d), linear HDR", 4),
+        "l1_smooth": Metric("smooth", False, f"share in L1 of surfaces of a roughness below {SMOOTH}", 4),
+        "l1_glossy": Metric("glossy", False, f"share in L1 of surfaces of a roughness from {SMOOTH} to {GLOSSY}", 4),
+        "l1_rough": Metric("rough", False, f"share in L1 of surfaces of a roughness of {GLOSSY} and more", 4),
     }
 )
 
@@ -70,20 +76,6 @@ def log_l1(prediction: Images, reference: Images) -> PerImage:
 def l1(prediction: Images, reference: Images) -> PerImage:
     """mean |x - y| of linear radiance."""
     return (prediction - reference).abs().flatten(1).mean(dim=1)
-
-
-def l1_by_bounce(prediction: Images, reference: Images, direct: Images) -> tuple[PerImage, PerImage]:
-    """L1 in two parts, which add up to it: of direct light, and of light that was reflected on the way.
-
-    An image does not say which of its light is which, so the error of each pixel and colour is divided as the
-    reference is: d = min(direct / reference, 1).
-
-    Args:
-        direct: linear radiance of the first bounce at the same pixels.
-    """
-    share = (direct / reference.clamp_min(1e-9)).clamp(0, 1)
-    error = (prediction - reference).abs()
-    return (error * share).flatten(1).mean(dim=1), (error * (1 - share)).flatten(1).mean(dim=1)
 
 
 def mape(prediction: Images, reference: Images) -> PerImage:
@@ -109,30 +101,41 @@ def ssim(prediction: Images, reference: Images) -> PerImage:
     return similarity.reshape(len(prediction))
 
 
+def gradient(prediction: Images, reference: Images) -> PerImage:
+    """How far edges and textures are from the reference's: mean |∂I(x) - ∂I(y)| of tone-mapped images.
+
+    ∂ is the difference of neighbours, along rows and along columns; the two means are averaged.
+    """
+    difference = perceptual(prediction) - perceptual(reference)
+    return sum(difference.diff(dim=dim).abs().flatten(1).mean(dim=1) for dim in (-2, -1)) / 2
+
+
 class ImageMetrics:
     """All metrics of METRICS for a batch of images.
 
     Args:
         lpips: the LPIPS to use, or None to leave the column out.
-        by_bounce: also `l1_by_bounce`, as l1_direct and l1_indirect.
+        detailed: also `gradient` and `l1_parts`.
     """
 
-    def __init__(self, lpips: LPIPS | None, by_bounce: bool = False) -> None:
-        self.by_bounce = by_bounce
+    def __init__(self, lpips: LPIPS | None, detailed: bool = False) -> None:
+        self.detailed = detailed
         self._functions = {"log_l1": log_l1, "l1": l1, "mape": mape, "ssim": ssim, "psnr": psnr}
         if lpips is not None:
             self._functions["lpips"] = lambda x, y: lpips(2 * perceptual(x) - 1, 2 * perceptual(y) - 1)
+        if detailed:
+            self._functions["gradient"] = gradient
         self.names = tuple(name for name in METRICS if name in self._functions)
 
     @torch.no_grad()
-    def __call__(self, prediction: Images, reference: Images, direct: Images | None = None) -> dict[str, PerImage]:
+    def __call__(
+        self, prediction: Images, reference: Images, gbuffer: Mapping[str, Tensor] | None = None
+    ) -> dict[str, PerImage]:
         """Values by metric name, in float32 whatever the inputs or the surrounding autocast.
 
-        `direct`, the radiance of the first bounce, is needed `by_bounce`.
+        `gbuffer` is needed for detailed ones, see `l1_parts`.
         """
         with torch.autocast(prediction.device.type, enabled=False):
             x, y = prediction.float(), reference.float()
             values = {name: self._functions[name](x, y) for name in self.names}
-            if self.by_bounce:
-                values["l1_direct"], values["l1_indirect"] = l1_by_bounce(x, y, direct.float())
-            return values
+            return values | l1_parts(x, y, gbuffer) if self.detailed else values

@@ -7,7 +7,7 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
-from rfpp.radiance import log_decode
+from rfpp.radiance import log_decode, log_encode
 
 
 class LogRadiance:
@@ -52,6 +52,20 @@ class LightBeyondDirect(ReflectedLight):
     def __call__(self, maps: Float[Tensor, "n 6 h w"], gbuffer: Float[Tensor, "n 12 h w"]) -> Float[Tensor, "n 3 h w"]:
         reflectance, direct = gbuffer.chunk(2, dim=1)
         return super().__call__(maps + direct, reflectance)
+
+
+class LightBeyondReflection(LightBeyondDirect):
+    """As LightBeyondDirect, to whose glossy light the reflection of directly lit surfaces is added.
+
+    Not in the paper. A mirror shows what first hits know nothing of (`rfpp.gbuffer.reflection`), sharp to the pixel.
+    """
+
+    channels: tuple[str, ...] = (*LightBeyondDirect.channels, "reflected_light")
+
+    def __call__(self, maps: Float[Tensor, "n 6 h w"], gbuffer: Float[Tensor, "n 15 h w"]) -> Float[Tensor, "n 3 h w"]:
+        known, glossy, reflected = gbuffer.split([9, 3, 3], dim=1)
+        glossy = log_encode(log_decode(glossy) + log_decode(reflected))
+        return super().__call__(maps, torch.cat([known, glossy], dim=1))
 
 
 class _ELU(torch.autograd.Function):

@@ -21,7 +21,7 @@ from rfpp.model.encoding import RelativeSpatialEncoding, Rotation, rotate
 from rfpp.model.film import CentreSample, PixelFilter
 from rfpp.model.ray_bundle import CameraOrigin, FirstHitPosition, RayBundleEmbedding
 from rfpp.model.ray_windows import ShiftedWindows, WholeView
-from rfpp.model.shading import LightBeyondDirect, LogRadiance, ReflectedLight
+from rfpp.model.shading import LightBeyondDirect, LightBeyondReflection, LogRadiance, ReflectedLight
 from rfpp.model.tokenizer import SceneTokens
 from rfpp.radiance import log_encode
 
@@ -37,7 +37,8 @@ class ViewDecoder(nn.Module):
         gbuffer_channels: see RayBundleEmbedding; empty for the decoder without geometry guidance.
         head_level_channels, head_channels: see DPTHead.
         ray_position: where ray tokens stand: CameraOrigin (the paper's) or FirstHitPosition.
-        shading: what the head predicts: LogRadiance (the paper's), ReflectedLight or LightBeyondDirect.
+        shading: what the head predicts: LogRadiance (the paper's), ReflectedLight, LightBeyondDirect or
+            LightBeyondReflection.
         film: what a pixel is made of: CentreSample (the paper's) or PixelFilter.
         windows: which rays of a view see each other: WholeView (the paper's) or ShiftedWindows.
     """
@@ -54,7 +55,7 @@ class ViewDecoder(nn.Module):
         head_level_channels: Sequence[int],
         head_channels: int,
         ray_position: CameraOrigin | FirstHitPosition,
-        shading: LogRadiance | ReflectedLight | LightBeyondDirect,
+        shading: LogRadiance | ReflectedLight | LightBeyondDirect | LightBeyondReflection,
         film: CentreSample | PixelFilter,
         windows: WholeView | ShiftedWindows,
     ):

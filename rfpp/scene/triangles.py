@@ -52,6 +52,11 @@ class SceneTriangles:
         """[M] int32: the object each triangle belongs to."""
         return np.repeat(np.arange(self.num_objects, dtype=np.int32), np.diff(self.object_offsets))
 
+    @property
+    def num_lights(self) -> int:
+        """How many objects emit light."""
+        return len(np.unique(self.object_index[self.is_emissive]))
+
     @classmethod
     def from_scene(cls, scene: Scene) -> SceneTriangles:
         """Pack a scene: transforms applied, shading normals made, random colours drawn, zero-area triangles dropped.

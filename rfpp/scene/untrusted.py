@@ -19,7 +19,7 @@ from rfpp.errors import SceneError
 #: A mesh or an image file of more bytes is refused unread.
 MAX_BYTES = 2**31
 #: The same of text, whose numbers are read line by line.
-MAX_TEXT_BYTES = 2**28
+MAX_TEXT_BYTES = 2**27
 #: A polygon of a hundred thousand corners.
 MAX_LINE_BYTES = 2**20
 #: A text that is parsed into Python objects, which take up to thirty times its size.

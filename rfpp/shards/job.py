@@ -47,7 +47,8 @@ class DatasetSettings:
         seed: non-negative; with split and index it determines every scene.
         resolution: images are square, this many pixels wide.
         views: cameras per scene.
-        light_samples: shadow rays per light and pixel of the G-buffers' direct light.
+        light_samples: shadow rays per light and pixel of the G-buffers' direct light, and rays per pixel of their
+            reflection.
         splits: scenes in each split of `SPLIT_CODES`; "train_newviews" are the first training scenes, other cameras.
         scenes_per_shard: scenes in one tar.
         acceptance: which views are rendered.

@@ -27,13 +27,14 @@ _SUPERSAMPLING = 2
 
 
 def sample_panel(sample: SceneSample) -> UInt8[np.ndarray, "h w 3"]:
-    """One row per view of a sample: image, G-buffers, first bounce of light, and the triangles by their edges."""
+    """One row per view of a sample: image, direct and reflected light, G-buffers, and the triangles by their edges."""
     triangles, material = sample.triangles, sample.triangles.material
     views = list(zip(sample.gbuffers, sample.c2w, sample.fov, strict=True))
     caster = camera_caster(triangles)
     columns = {
         "image": [panels.tone_mapped(image) for image in sample.images],
         "direct light": [panels.tone_mapped(direct_radiance(g, material)) for g, _, _ in views],
+        "reflected light": [panels.tone_mapped(channel(g, material, f, "reflected_light")) for g, _, f in views],
         "albedo": [panels.tone_mapped(channel(g, material, f, "albedo")) for g, _, f in views],
         "specular": [panels.tone_mapped(channel(g, material, f, "specular")) for g, _, f in views],
         "normal": [_normal_colours(g) for g, _, _ in views],

@@ -6,8 +6,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from jaxtyping import Float
@@ -17,17 +18,17 @@ from safetensors.numpy import save as save_arrays
 
 from rfpp.errors import ShardError
 from rfpp.exr import HALF_MAX, ImageFileError, decode_exr, encode_exr
-from rfpp.gbuffer.first_hit import DirectLight, GBuffer
+from rfpp.gbuffer.first_hit import CHANNELS, DIRECT_CHANNELS, REFLECTION_CHANNELS, DirectLight, GBuffer, Reflection
 from rfpp.scene.triangles import SceneTriangles
 
 #: Raised whenever a member, a dtype or a meaning changes; data of another version is refused, never guessed at.
-SCHEMA_VERSION = 3
+SCHEMA_VERSION = 4
 
 #: From the sample's number of views to the numbers of those wanted.
 ViewChoice = Callable[[int], Iterable[int]]
 
-# A view's layers lie in three files, because a file is decoded whole: training without direct light leaves it alone.
-_IMAGE, _SURFACE, _LIGHT = "view{}.exr", "view{}.surface.exr", "view{}.light.exr"
+# A view's layers lie in several files, because a file is decoded whole: what training does not read is left alone.
+_IMAGE, _SURFACE, _LIGHT, _REFLECTION = (f"view{{}}{kind}.exr" for kind in ("", ".surface", ".light", ".reflection"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +41,7 @@ class SceneSample:
         c2w: [V, 4, 4] float32 camera-to-world, Blender axes.
         fov: [V] float32 degrees along the longer image side.
         images: [V, H, W, 3] float32 linear radiance; half-precision values once stored.
-        gbuffers: V G-buffers with their direct light.
+        gbuffers: V G-buffers with their direct light and reflection.
         meta: JSON-able: how the scene was made.
     """
 
@@ -74,7 +75,8 @@ def encode(sample: SceneSample) -> dict[str, bytes]:
     }
     for view, (image, gbuffer) in enumerate(zip(sample.images, sample.gbuffers, strict=True)):
         light = {"direct_diffuse": gbuffer.light.diffuse, "direct_glossy": gbuffer.light.glossy}
-        for name, radiance in {"RGB": image, **light}.items():
+        reflection = {"reflected_light": gbuffer.reflection.light, "reflected_albedo": gbuffer.reflection.albedo}
+        for name, radiance in {"RGB": image, **light, **reflection}.items():
             _require_half_range(radiance, f"{sample.key}: view {view}: {name}")
         surface = {
             "normal": gbuffer.normal.astype(np.float16),
@@ -83,18 +85,24 @@ def encode(sample: SceneSample) -> dict[str, bytes]:
         }
         members[_IMAGE.format(view)] = encode_exr({"RGB": image.astype(np.float16)})
         members[_SURFACE.format(view)] = encode_exr(surface)
-        members[_LIGHT.format(view)] = encode_exr({name: a.astype(np.float16) for name, a in light.items()})
+        for member, layers in ((_LIGHT, light), (_REFLECTION, reflection)):
+            members[member.format(view)] = encode_exr({name: a.astype(np.float16) for name, a in layers.items()})
     return members
 
 
-def decode(key: str, members: Mapping[str, bytes], choose: ViewChoice | None = None, light: bool = True) -> SceneSample:
+def decode(
+    key: str,
+    members: Mapping[str, bytes],
+    choose: ViewChoice | None = None,
+    channels: Collection[str] = tuple(CHANNELS),
+) -> SceneSample:
     """The inverse of `encode`, of all that is asked for.
 
     Args:
         key: of the sample.
         members: member name → bytes.
         choose: the sample's number of views → the numbers of those to decode; None decodes all.
-        light: whether the G-buffers are to have their direct light.
+        channels: what is wanted of the G-buffers, which do without direct light or reflection accordingly.
 
     Raises:
         ShardError: naming the key: a missing or damaged member, another schema.
@@ -127,7 +135,7 @@ def decode(key: str, members: Mapping[str, bytes], choose: ViewChoice | None = N
             c2w=cameras["c2w"][views],
             fov=cameras["fov"][views],
             images=np.stack([layers(_IMAGE, view)["RGB"] for view in views]).astype(np.float32),
-            gbuffers=tuple(_gbuffer(layers(_SURFACE, view), layers(_LIGHT, view) if light else None) for view in views),
+            gbuffers=tuple(_gbuffer(partial(layers, view=view), channels) for view in views),
             meta=meta,
         )
     except KeyError as error:
@@ -151,11 +159,23 @@ def _require_whole(triangles: SceneTriangles, cameras: Mapping[str, np.ndarray])
         raise ValueError("c2w is not of as many views as fov")
 
 
-def _gbuffer(surface: Mapping[str, np.ndarray], light: Mapping[str, np.ndarray] | None) -> GBuffer:
-    triangle = surface["triangle"].astype(np.int32) - 1
-    if light is not None:
-        light = DirectLight(*(light[name].astype(np.float32) for name in ("direct_diffuse", "direct_glossy")))
-    return GBuffer(triangle, surface["normal"].astype(np.float32), surface["depth"], light)
+def _gbuffer(layers: Callable[[str], Mapping[str, np.ndarray]], channels: Collection[str]) -> GBuffer:
+    """From the layers of a view's members, by their names."""
+
+    def part(kind: type, member: str, names: Sequence[str]) -> DirectLight | Reflection | None:
+        if set(names).isdisjoint(channels):
+            return None
+        stored = layers(member)
+        return kind(*(stored[name].astype(np.float32) for name in names))
+
+    surface = layers(_SURFACE)
+    return GBuffer(
+        triangle=surface["triangle"].astype(np.int32) - 1,
+        normal=surface["normal"].astype(np.float32),
+        depth=surface["depth"],
+        light=part(DirectLight, _LIGHT, DIRECT_CHANNELS),
+        reflection=part(Reflection, _REFLECTION, REFLECTION_CHANNELS),
+    )
 
 
 def _per_object_if_constant(triangles: SceneTriangles) -> np.ndarray:

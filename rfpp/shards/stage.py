@@ -10,6 +10,7 @@ from jaxtyping import Float
 from rfpp.gbuffer.direct_light import with_direct_light
 from rfpp.gbuffer.first_hit import GBuffer, camera_caster, first_hit
 from rfpp.gbuffer.light_sampler import LightSampler
+from rfpp.gbuffer.reflection import with_reflection
 from rfpp.scene.triangles import SceneTriangles
 
 
@@ -41,9 +42,15 @@ class Stage:
         samples: int,
         seed: np.random.SeedSequence,
     ) -> tuple[GBuffer, ...]:
-        """Of every camera, with direct light; each gets samples of its own."""
+        """Of every camera, with direct light and reflection; each gets samples of its own."""
         seeds = seed.generate_state(len(c2w)).tolist()
         return tuple(
-            self.lit(self.first_hit(pose, angle, resolution), pose, angle, samples, noise)
+            self._complete(pose, angle, resolution, samples, noise)
             for pose, angle, noise in zip(c2w, fov, seeds, strict=True)
         )
+
+    def _complete(
+        self, c2w: Float[np.ndarray, "4 4"], fov: SupportsFloat, resolution: int, samples: int, seed: int
+    ) -> GBuffer:
+        lit = self.lit(self.first_hit(c2w, fov, resolution), c2w, fov, samples, seed)
+        return with_reflection(lit, c2w, fov, self._lights, samples, seed)

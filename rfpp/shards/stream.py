@@ -5,12 +5,14 @@ from __future__ import annotations
 import bisect
 import os
 from collections import OrderedDict
+from collections.abc import Collection
 from itertools import accumulate
 from pathlib import Path
 
 from torch.utils.data import Dataset
 
 from rfpp.errors import ShardError
+from rfpp.gbuffer.first_hit import CHANNELS
 from rfpp.shards.cache import ShardCache
 from rfpp.shards.index import ListedShard, ShardIndex
 from rfpp.shards.manifest import Manifest
@@ -60,12 +62,14 @@ class ShardSplit(Dataset):
     def __getitem__(self, index: int) -> SceneSample:
         return self.read(index)
 
-    def read(self, index: int, choose: ViewChoice | None = None, light: bool = True) -> SceneSample:
+    def read(
+        self, index: int, choose: ViewChoice | None = None, channels: Collection[str] = tuple(CHANNELS)
+    ) -> SceneSample:
         """The scene, or of it what is asked for (see `rfpp.shards.sample.decode`)."""
         shard, position = self._locate(index)
         opened, descriptor = self._opened(shard)
         entry = opened.samples[position]
-        return decode(entry.key, shard.members(self.manifest.root, descriptor, entry), choose, light)
+        return decode(entry.key, shard.members(self.manifest.root, descriptor, entry), choose, channels)
 
     def key(self, index: int) -> str:
         """The key of a sample, without reading it."""

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from torch.utils.data import Dataset, Sampler
 
 from rfpp.batch import SceneViews
-from rfpp.gbuffer.first_hit import CHANNELS, COLOUR_CHANNELS, LIGHT_CHANNELS, stack_channels
+from rfpp.gbuffer.first_hit import CHANNELS, COLOUR_CHANNELS, stack_channels
 from rfpp.scene.triangles import DIFFUSE, EMISSION, SPECULAR, SceneTriangles
 from rfpp.shards.order import ShuffledOrder
 from rfpp.shards.sample import SceneSample, ViewChoice
@@ -34,7 +34,7 @@ def select_views(sample: SceneSample, views: Sequence[int], channels: Sequence[s
 
 def read_views(split: ShardSplit, index: int, channels: Sequence[str], choose: ViewChoice | None = None) -> SceneViews:
     """`select_views` of the scene at `index`; only what these views and channels need is decoded."""
-    sample = split.read(index, choose, light=not set(LIGHT_CHANNELS).isdisjoint(channels))
+    sample = split.read(index, choose, channels)
     return select_views(sample, range(len(sample.fov)), channels)
 
 

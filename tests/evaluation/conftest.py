@@ -17,14 +17,13 @@ from rfpp.evaluation.evaluation_file import Evaluation
 from rfpp.evaluation.paper import PAPER_METRICS
 from rfpp.evaluation.pictures import write_pictures
 from rfpp.evaluation.records import ImageRecord, SceneRecord, scene_records
-from rfpp.gbuffer.direct_light import with_direct_light
-from rfpp.gbuffer.first_hit import first_hit, stack_channels
-from rfpp.gbuffer.light_sampler import LightSampler
+from rfpp.gbuffer.first_hit import stack_channels
 from rfpp.metrics.image import METRICS
 from rfpp.model.renderformer_pp import Rendering
 from rfpp.radiance import log_encode
 from rfpp.shards.manifest import MANIFEST_FILE, manifest_json
 from rfpp.shards.sample import SceneSample, encode
+from rfpp.shards.stage import Stage
 from rfpp.shards.tar import pack
 from rfpp.shards.writer import ShardWriter, write_json
 
@@ -34,17 +33,14 @@ POSES = [look_at((0.9, 0.2, 0.9)), look_at((-0.3, -1.0, 0.8))]
 
 def _sample(key: str, seed: int, brightness: float) -> SceneSample:
     triangles = still_life(seed)
-    sampler = LightSampler(triangles)
-    gbuffers = tuple(
-        with_direct_light(first_hit(triangles, pose, 45.0, SIZE, SIZE), pose, 45.0, sampler, samples=1)
-        for pose in POSES
-    )
+    fov = np.full(len(POSES), 45.0, np.float32)
+    gbuffers = Stage(triangles).gbuffers(np.stack(POSES), fov, SIZE, 1, np.random.SeedSequence(0))
     albedo = [stack_channels(g, triangles.material, 45.0, ["albedo"]).transpose(1, 2, 0) for g in gbuffers]
     return SceneSample(
         key=key,
         triangles=triangles,
         c2w=np.stack(POSES).astype(np.float32),
-        fov=np.full(len(POSES), 45.0, np.float32),
+        fov=fov,
         images=(brightness * np.stack(albedo)).astype(np.float16).astype(np.float32),
         gbuffers=gbuffers,
         meta={},
@@ -94,7 +90,7 @@ def cpu() -> torch.device:
 def _record(
     split: str, scene: str, view: int, predictor: str, log_l1: float, psnr: float, triangles: int = 500
 ) -> ImageRecord:
-    return ImageRecord(split, scene, view, triangles, 7, predictor, {"log_l1": log_l1, "psnr": psnr})
+    return ImageRecord(split, scene, view, triangles, 7, 2, predictor, {"log_l1": log_l1, "psnr": psnr})
 
 
 @pytest.fixture(scope="session")

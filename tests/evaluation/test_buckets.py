@@ -17,7 +17,7 @@ def test_the_models_scenes_fall_by_their_size_and_split(scenes, bootstrap) -> No
 
 
 def test_an_edge_belongs_to_the_range_that_it_begins(bootstrap) -> None:
-    scenes = [SceneRecord("test", str(n), n, 7, "model", {"log_l1": float(n)}) for n in (999, 1000, 1001)]
+    scenes = [SceneRecord("test", str(n), n, 7, 2, "model", {"log_l1": float(n)}) for n in (999, 1000, 1001)]
     found = {b.label: b.estimates["log_l1"] for b in bucketed(scenes, {"triangles": [1000]}, bootstrap)}
     assert found["0–999"].scenes == 1
     assert found["≥ 1000"].mean == pytest.approx(1000.5)

@@ -21,7 +21,8 @@ def test_records_of_images_and_scenes(images, scenes, tmp_path) -> None:
     assert len(of_images) == 6
     assert of_images[1] == {"scene": "a", "view": "1", "predictor": "model", "log_l1": "0.3", "psnr": "20"}
     assert of_scenes[1] == {
-        "scene": "b", "triangles": "2000", "objects": "7", "predictor": "model", "log_l1": "0.4", "psnr": "10",
+        "scene": "b", "triangles": "2000", "objects": "7", "lights": "2", "predictor": "model",
+        "log_l1": "0.4", "psnr": "10",
     }  # fmt: skip
 
 

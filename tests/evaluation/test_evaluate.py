@@ -25,8 +25,9 @@ def records(data_root, of_network, cpu):
 
 def test_every_image_is_recorded_once_for_every_predictor(records) -> None:
     identities = [(r.scene, r.view, r.predictor) for r in records]
-    assert len(identities) == len(set(identities)) == 3 * 2 * 5
-    assert {r.predictor for r in records} == {MODEL, "black", "mean image", "albedo x constant", "direct light alone"}
+    assert len(identities) == len(set(identities)) == 3 * 2 * 6
+    baselines = {"black", "mean image", "albedo x constant", "direct light alone", "direct light and reflections"}
+    assert {r.predictor for r in records} == {MODEL, *baselines}
 
 
 def test_values_are_those_of_the_known_images(records, data_root) -> None:
@@ -46,8 +47,8 @@ def test_the_constant_baseline_is_fitted_on_the_training_split(data_root) -> Non
 
 def test_records_hold_the_size_of_their_scene(records, data_root) -> None:
     triangles = ShardSplit(data_root, "test")[2].triangles
-    sizes = {(r.triangles, r.objects) for r in records if r.scene == "test-000002"}
-    assert sizes == {(len(triangles), triangles.num_objects)}
+    sizes = {(r.triangles, r.objects, r.lights) for r in records if r.scene == "test-000002"}
+    assert sizes == {(len(triangles), triangles.num_objects, 2)}
 
 
 def test_a_scenes_record_is_the_mean_of_its_views(records) -> None:
@@ -68,7 +69,7 @@ def test_best_median_and_worst_scene(of_network) -> None:
 
 
 def _scenes_with(*errors: float) -> list[SceneRecord]:
-    return [SceneRecord("test", f"scene-{i}", 100, 5, MODEL, {"log_l1": error}) for i, error in enumerate(errors)]
+    return [SceneRecord("test", f"scene-{i}", 100, 5, 2, MODEL, {"log_l1": error}) for i, error in enumerate(errors)]
 
 
 @pytest.mark.parametrize("total", [1, 2, 3, 4, 31, 32, 1000])

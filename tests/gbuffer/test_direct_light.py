@@ -8,7 +8,7 @@ import yaml
 from known_scenes import LIGHT, look_at, material, moved, pack, rigid_motion, sphere, square, still_life
 from marks import requires_blender
 
-from rfpp.gbuffer import direct_light
+from rfpp.gbuffer import surface
 from rfpp.gbuffer.direct_light import with_direct_light
 from rfpp.gbuffer.first_hit import DirectLight, GBuffer, channel, first_hit, stack_channels
 from rfpp.gbuffer.light_sampler import LightSampler
@@ -146,7 +146,7 @@ def test_the_seed_decides_and_the_working_size_does_not(monkeypatch):
     first, again, other = light(scene), light(scene), light(scene, seed=1)
     np.testing.assert_array_equal(first.glossy, again.glossy)
     assert not np.array_equal(first.glossy, other.glossy)
-    monkeypatch.setattr(direct_light, "_CHUNK", 100)
+    monkeypatch.setattr(surface, "_CHUNK", 100)
     np.testing.assert_allclose(light(scene).glossy, first.glossy, rtol=1e-6)
 
 

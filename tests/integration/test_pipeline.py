@@ -1,6 +1,7 @@
 """Scenes → Blender → shards → training → evaluation → pictures, as a user runs it, only smaller."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -73,12 +74,18 @@ def test_evaluation_writes_tables_and_reports_to_the_training_run(trained, compo
     (evaluation,) = main.__wrapped__(cfg)
     means = evaluation.means
     assert {split for split, _ in means} == {"train_newviews", "test"}
-    baselines = {"black", "mean image", "albedo x constant", "direct light alone"}
+    baselines = {"black", "mean image", "albedo x constant", "direct light alone", "direct light and reflections"}
     assert {predictor for _, predictor in means} == {"model", *baselines}
     assert all(np.isfinite(row["log_l1"].mean) for row in means.values())
     assert (run / "evaluation" / "summary.csv").is_file()
-    logged = client.get_run(load_network(checkpoint)[1].mlflow_run_id).data.metrics
+    run_id = load_network(checkpoint)[1].mlflow_run_id
+    logged = client.get_run(run_id).data.metrics
     assert logged["test/log_l1"] == pytest.approx(means["test", "model"]["log_l1"].mean)
+    [folder] = [entry.path for entry in client.list_artifacts(run_id) if entry.path.startswith("evaluation")]
+    sent = {Path(entry.path).name: entry.file_size for entry in client.list_artifacts(run_id, folder)}
+    here = {path.name: path.stat().st_size for path in (run / "evaluation").iterdir()}
+    assert {"report.html", "pictures.zip", "summary.csv", "test.png"} <= sent.keys()
+    assert sent == {name: here[name] for name in sent}
 
 
 def test_render_writes_exr_png_reference_and_comparison(trained, composed, tmp_path, capsys):

@@ -1,7 +1,14 @@
 import pytest
 import torch
 
-from rfpp.metrics.baselines import CHANNELS, AlbedoTimesConstant, Black, DirectLightAlone, MeanImage
+from rfpp.metrics.baselines import (
+    CHANNELS,
+    AlbedoTimesConstant,
+    Black,
+    DirectLightAlone,
+    DirectLightReflected,
+    MeanImage,
+)
 from rfpp.radiance import log_encode
 
 
@@ -57,3 +64,4 @@ def test_direct_light_is_reflected_by_both_lobes() -> None:
     gbuffer = {name: _albedo(seed) for seed, name in enumerate(CHANNELS)}
     expected = _albedo(0) * _albedo(2) + _albedo(1) * _albedo(3)
     torch.testing.assert_close(DirectLightAlone().predict(gbuffer), expected)
+    torch.testing.assert_close(DirectLightReflected().predict(gbuffer), expected + _albedo(1) * _albedo(4))

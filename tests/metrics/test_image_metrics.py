@@ -7,9 +7,17 @@ from rfpp.metrics.image import METRICS, ImageMetrics
 
 @pytest.fixture
 def metrics(random_lpips):
-    """All of them, of images half of whose light is direct."""
-    of_all = ImageMetrics(random_lpips, by_bounce=True)
-    return lambda prediction, reference: of_all(prediction, reference, 0.5 * reference)
+    """All of them, of images half of whose light is direct, and whose surfaces are of all kinds."""
+    of_all = ImageMetrics(random_lpips, detailed=True)
+    return lambda prediction, reference: of_all(prediction, reference, _gbuffer(0.5 * reference))
+
+
+def _gbuffer(direct: torch.Tensor) -> dict[str, torch.Tensor]:
+    """Of white surfaces under this light, in front of which nothing stands; roughness grows from top to bottom."""
+    nothing = torch.zeros_like(direct)
+    roughness = torch.linspace(0, 1, direct.shape[2])[:, None].expand_as(direct)[:, :1]
+    surface = {"albedo": nothing + 1, "specular": nothing, "roughness": roughness, "depth": nothing[:, :1] + 1}
+    return {**surface, "direct_diffuse": direct, "direct_glossy": nothing}
 
 
 def _pair(seed: int = 0, n: int = 3, size: int = 48) -> tuple[torch.Tensor, torch.Tensor]:
@@ -52,18 +60,43 @@ def test_without_lpips_its_column_is_absent() -> None:
     assert tuple(metrics(*_pair())) == metrics.names
 
 
-def test_l1_by_bounce_adds_up_and_tells_shadow_from_light() -> None:
+def test_l1_by_bounce_tells_shadow_from_light() -> None:
     reference = torch.full((1, 3, 16, 16), 2.0)
     direct = reference.clone()
     direct[..., 8:] = 0  # a right half in shadow
     wrong_in_light, wrong_in_shadow = reference.clone(), reference.clone()
     wrong_in_light[..., :8] += 1
     wrong_in_shadow[..., 8:] += 1
-    metrics = ImageMetrics(lpips=None, by_bounce=True)
+    metrics = ImageMetrics(lpips=None, detailed=True)
     for prediction, parts in ((wrong_in_light, (0.5, 0.0)), (wrong_in_shadow, (0.0, 0.5))):
-        values = metrics(prediction, reference, direct)
+        values = metrics(prediction, reference, _gbuffer(direct))
         assert (values["l1_direct"].item(), values["l1_indirect"].item()) == parts
         assert values["l1"].item() == sum(parts)
-    noisy = torch.rand(2, 3, 16, 16)
-    values = metrics(noisy, 2 * torch.rand(2, 3, 16, 16), torch.rand(2, 3, 16, 16))
-    torch.testing.assert_close(values["l1_direct"] + values["l1_indirect"], values["l1"])
+
+
+def test_l1_by_roughness_tells_surfaces_apart() -> None:
+    reference = torch.zeros(1, 3, 16, 16)
+    gbuffer = _gbuffer(reference)
+    for name, kind in (("l1_smooth", 0.1), ("l1_glossy", 0.4), ("l1_rough", 0.9)):
+        rows = (gbuffer["roughness"] - kind).abs() < 0.1
+        values = ImageMetrics(lpips=None, detailed=True)(rows.float().expand_as(reference), reference, gbuffer)
+        assert values[name].item() == values["l1"].item() > 0
+    gbuffer["depth"] = torch.zeros_like(gbuffer["depth"])  # no surface at all
+    assert ImageMetrics(None, detailed=True)(reference + 1, reference, gbuffer)["l1_rough"].item() == 1
+
+
+def test_parts_of_l1_add_up_to_it() -> None:
+    prediction, reference, direct = torch.rand(3, 2, 3, 16, 16)
+    values = ImageMetrics(lpips=None, detailed=True)(prediction, reference, _gbuffer(direct))
+    for parts in (("l1_direct", "l1_indirect"), ("l1_smooth", "l1_glossy", "l1_rough")):
+        torch.testing.assert_close(sum(values[name] for name in parts), values["l1"])
+
+
+def test_the_gradient_sees_edges_and_not_levels() -> None:
+    reference = torch.full((1, 3, 16, 16), 0.3)
+    edge = reference.clone()
+    edge[..., 8:] = 0.6
+    metrics = ImageMetrics(lpips=None, detailed=True)
+    level, blurred = (metrics(image, reference, _gbuffer(reference))["gradient"] for image in (reference + 0.1, edge))
+    assert level.item() == pytest.approx(0, abs=1e-6)
+    assert blurred.item() == pytest.approx((np.log2(1.6) - np.log2(1.3)) / 15 / 2, rel=1e-4)

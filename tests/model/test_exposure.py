@@ -9,7 +9,7 @@ from networks import network
 from random_scenes import random_views
 
 from rfpp.batch import RaggedBatch, SceneViews
-from rfpp.gbuffer.first_hit import LIGHT_CHANNELS
+from rfpp.gbuffer.first_hit import DIRECT_CHANNELS
 from rfpp.model.exposure import ArrivingLight, UnitExposure
 from rfpp.model.ray_bundle import CameraOrigin
 from rfpp.scene.triangles import EMISSION, SceneTriangles
@@ -109,7 +109,7 @@ def with_brighter_lights(views: SceneViews, factor: float) -> SceneViews:
 def test_brighter_lights_make_the_image_brighter_by_the_same(factor):
     net = network(*QUICKSTART)
     net.decoder.ray_position = CameraOrigin()  # whose position would otherwise be the last channel
-    assert net.gbuffer_channels[-2:] == LIGHT_CHANNELS
+    assert net.gbuffer_channels[-2:] == DIRECT_CHANNELS
     views = random_views(np.random.default_rng(3), (12, 6, 1, 1), channels=16)
 
     def radiance(sample):

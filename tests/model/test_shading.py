@@ -7,7 +7,7 @@ from random_scenes import random_views
 
 from rfpp.batch import RaggedBatch
 from rfpp.model.film import CentreSample
-from rfpp.model.shading import LightBeyondDirect, LogRadiance, ReflectedLight
+from rfpp.model.shading import LightBeyondDirect, LightBeyondReflection, LogRadiance, ReflectedLight
 from rfpp.radiance import log_encode
 
 
@@ -32,6 +32,16 @@ def test_nothing_beyond_direct_is_the_direct_light_alone():
     assert lit.min() > 0
     image.sum().backward()
     assert (nothing.grad > 0).all()
+
+
+def test_a_reflection_joins_the_glossy_light():
+    albedo, specular, diffuse, glossy, reflected = torch.rand(5, 2, 3, 4, 4)
+    lit = [albedo, specular, log_encode(diffuse), log_encode(glossy), log_encode(reflected)]
+    maps, gbuffer = torch.rand(2, 6, 4, 4), torch.cat(lit, dim=1)
+    image = LightBeyondReflection()(torch.zeros_like(maps), gbuffer)
+    torch.testing.assert_close(image, albedo * diffuse + specular * (glossy + reflected))
+    lit[3], lit[4] = log_encode(glossy + reflected), torch.zeros_like(reflected)
+    torch.testing.assert_close(LightBeyondReflection()(maps, gbuffer), LightBeyondDirect()(maps, torch.cat(lit[:4], 1)))
 
 
 def test_a_pixel_below_zero_is_nearly_black_and_can_come_back():

@@ -111,6 +111,7 @@ def test_h5_holds_images_and_gbuffers_of_its_own_triangles(sample, tmp_path):
             np.testing.assert_array_equal(file["gbuffer/depth"][view], gbuffer.depth)
             np.testing.assert_array_equal(file["gbuffer/normal"][view], gbuffer.normal)
             np.testing.assert_array_equal(file["gbuffer/direct_diffuse"][view], gbuffer.light.diffuse)
+            np.testing.assert_array_equal(file["gbuffer/reflected_light"][view], gbuffer.reflection.light)
 
 
 def test_exr_shows_the_image_and_adds_the_gbuffers(sample, tmp_path):

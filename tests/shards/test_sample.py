@@ -7,12 +7,11 @@ import pytest
 from small_data import BoxFamily
 
 from rfpp.errors import ShardError
-from rfpp.gbuffer.direct_light import with_direct_light
-from rfpp.gbuffer.first_hit import CHANNELS, first_hit, stack_channels
-from rfpp.gbuffer.light_sampler import LightSampler
+from rfpp.gbuffer.first_hit import CHANNELS, stack_channels
 from rfpp.scene.camera import camera_to_world
 from rfpp.scene.triangles import SceneTriangles
 from rfpp.shards.sample import SCHEMA_VERSION, SceneSample, decode, encode
+from rfpp.shards.stage import Stage
 from rfpp.shards.tar import pack, unpack
 
 
@@ -22,11 +21,7 @@ def sample() -> SceneSample:
     triangles = SceneTriangles.from_scene(scene)
     c2w = np.stack([camera_to_world(camera) for camera in scene.cameras])
     fov = np.array([camera.fov for camera in scene.cameras], np.float32)
-    sampler = LightSampler(triangles)
-    gbuffers = tuple(
-        with_direct_light(first_hit(triangles, pose, f, 12, 12), pose, f, sampler, samples=2)
-        for pose, f in zip(c2w, fov, strict=True)
-    )
+    gbuffers = Stage(triangles).gbuffers(c2w, fov, 12, 2, np.random.SeedSequence(0))
     images = np.random.default_rng(3).exponential(0.5, (2, 12, 12, 3)).astype(np.float32)
     return SceneSample("train-000001", triangles, c2w, fov, images, gbuffers, {"family": "boxes", "index": 1})
 
@@ -85,7 +80,8 @@ def test_missing_damaged_and_foreign_members_are_named(sample):
     without = {name: data for name, data in members.items() if name != "view1.exr"}
     with pytest.raises(ShardError, match=r"train-000001.*view1\.exr"):
         decode(sample.key, without)
-    for name in ("view0.exr", "view0.surface.exr", "view1.light.exr", "geometry.safetensors", "meta.json"):
+    views = ("view0.exr", "view0.surface.exr", "view1.light.exr", "view1.reflection.exr")
+    for name in (*views, "geometry.safetensors", "meta.json"):
         with pytest.raises(ShardError, match="train-000001"):
             decode(sample.key, {**members, name: members[name][: len(members[name]) // 2]})
     foreign = members["meta.json"].replace(b'"schema_version": %d' % SCHEMA_VERSION, b'"schema_version": 99')
@@ -96,14 +92,15 @@ def test_missing_damaged_and_foreign_members_are_named(sample):
 def test_only_what_is_asked_for_is_decoded(sample):
     members = encode(sample)
     whole = decode(sample.key, members)
-    second = decode(sample.key, members, lambda views: [views - 1], light=False)
+    second = decode(sample.key, members, lambda views: [views - 1], channels=("albedo",))
     np.testing.assert_array_equal(second.images, whole.images[1:])
     np.testing.assert_array_equal(second.c2w, whole.c2w[1:])
     assert len(second.fov) == len(second.gbuffers) == 1
     np.testing.assert_array_equal(second.gbuffers[0].depth, whole.gbuffers[1].depth)
-    assert second.gbuffers[0].light is None
-    needed = {name: data for name, data in members.items() if not name.startswith("view0") and "light" not in name}
-    decode(sample.key, needed, lambda views: [1], light=False)
+    assert second.gbuffers[0].light is None and second.gbuffers[0].reflection is None
+    unused = ("view0", "view1.light", "view1.reflection")
+    needed = {name: data for name, data in members.items() if not name.startswith(unused)}
+    decode(sample.key, needed, lambda views: [1], channels=())
     with pytest.raises(ShardError, match=r"view1\.light\.exr"):
         decode(sample.key, needed, lambda views: [1])
 

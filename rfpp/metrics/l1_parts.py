@@ -1,0 +1,43 @@
+"""L1 in parts that add up to it: which light was missed, and on which surfaces."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from rfpp.metrics.baselines import DirectLightAlone
+
+Images = Float[Tensor, "n 3 h w"]
+PerImage = Float[Tensor, " n"]
+
+#: The G-buffer channels that tell the parts apart, besides those of the baselines.
+CHANNELS = ("roughness", "depth")
+#: Below which roughness a surface counts as smooth, and as glossy.
+SMOOTH, GLOSSY = 0.25, 0.5
+
+
+def l1_parts(prediction: Images, reference: Images, gbuffer: Mapping[str, Tensor]) -> dict[str, PerImage]:
+    """L1 of linear radiance by bounce (two parts) and by roughness (three), by the names of METRICS.
+
+    An image does not say which of its light came straight from the lights, so the error of each pixel and colour is
+    divided as the reference is: d = min(direct / reference, 1). Where nothing is hit, the surface counts as rough.
+
+    Args:
+        gbuffer: the channels of the baselines and of `CHANNELS`, [N, 3 or 1, H, W] each.
+    """
+    error = (prediction - reference).abs()
+    direct = DirectLightAlone().predict(gbuffer).float()
+    share = (direct / reference.clamp_min(1e-9)).clamp(0, 1)
+    roughness = torch.where(gbuffer["depth"] > 0, gbuffer["roughness"], 1.0)
+    smooth, rough = roughness < SMOOTH, roughness >= GLOSSY
+    parts = {
+        "l1_direct": share,
+        "l1_indirect": 1 - share,
+        "l1_smooth": smooth,
+        "l1_glossy": ~(smooth | rough),
+        "l1_rough": rough,
+    }
+    return {name: (error * part).flatten(1).mean(dim=1) for name, part in parts.items()}
