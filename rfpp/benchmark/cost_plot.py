@@ -88,7 +88,12 @@ def figure(rows: Sequence[Row]) -> Figure:
                 _draw(axis, *curve(rows, name, quantity, column), line, colour)
         axis.set(title=title, ylabel=unit, xscale="log", yscale="log")
         axis.grid(which="both", alpha=0.2)
-        axis.legend(handles=_legend(fitted, lines, exponent_too="encode" in lines), fontsize="small")
+        handles = _legend(fitted, lines, exponent_too="encode" in lines)
+        if len(lines) > 2:  # many curves leave the legend no room
+            axis.set_ylim(bottom=axis.get_ylim()[0] / 4)
+            axis.legend(handles=handles, fontsize="small", loc="lower right", ncols=2)
+        else:
+            axis.legend(handles=handles, fontsize="small")
     measured = sorted({int(row["triangles"]) for row in rows})
     for axis in axes[1]:  # shared with those above
         axis.set_xlabel("triangles")

@@ -15,6 +15,8 @@ from rfpp.evaluation.number_text import best_value, number_text
 from rfpp.evaluation.records import MODEL
 from rfpp.metrics.image import METRICS
 
+#: Metrics of one table: so many fit into 80 characters.
+_SIDE_BY_SIDE = 6
 LEGEND = "x: prediction, y: reference, I: either of them. Means over scenes; ±: half their 95% interval."
 
 
@@ -26,10 +28,12 @@ def results_table(means: Mapping[tuple[str, str], Estimates], buckets: Sequence[
     names = [name for name in METRICS if any(name in values for values in means.values())]
     tables = []
     for split in dict.fromkeys(split for split, _ in means):
-        tables.append(_split_table(split, {who: v for (s, who), v in means.items() if s == split}, names))
         of_split = [bucket for bucket in buckets if bucket.split == split]
-        if of_split:
-            tables.append(_bucket_table(split, of_split, names))
+        for start in range(0, len(names), _SIDE_BY_SIDE):
+            part = names[start : start + _SIDE_BY_SIDE]
+            tables.append(_split_table(split, {who: v for (s, who), v in means.items() if s == split}, part))
+            if of_split:
+                tables.append(_bucket_table(split, of_split, part))
     notes = [f"{METRICS[name].label}: {METRICS[name].definition}" for name in names]
     return Group(*tables, Text("\n".join([LEGEND, *notes]), style="dim"))
 
@@ -58,8 +62,15 @@ def _bucket_table(split: str, buckets: Sequence[Bucket], names: Sequence[str]) -
 
 
 def _table(title: str, names: Sequence[str], *before: str) -> Table:
-    # without lines between the columns six metrics fit into 80 characters, where lines would cut numbers off
-    table = Table(title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    # without lines around and between the columns six metrics fit into 80 characters, where lines would cut numbers off
+    table = Table(
+        title=title,
+        title_justify="left",
+        title_style="bold",
+        box=box.SIMPLE_HEAD,
+        show_edge=False,
+        padding=(0, 1, 0, 0),
+    )
     table.add_column("", no_wrap=True)
     for heading in (*before, *(METRICS[name].heading for name in names)):
         table.add_column(heading, justify="right", no_wrap=True)

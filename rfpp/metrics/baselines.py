@@ -55,7 +55,7 @@ class DirectLightAlone(Baseline):
 class DirectLightReflected(DirectLightAlone):
     """Predicts the first bounce and its reflection in shiny surfaces, and nothing of what follows."""
 
-    name = "direct light and reflections"
+    name = "reflections too"
 
     def predict(self, gbuffer: Mapping[str, Images]) -> Images:
         return super().predict(gbuffer) + gbuffer["specular"] * gbuffer["reflected_light"]

@@ -26,7 +26,7 @@ def records(data_root, of_network, cpu):
 def test_every_image_is_recorded_once_for_every_predictor(records) -> None:
     identities = [(r.scene, r.view, r.predictor) for r in records]
     assert len(identities) == len(set(identities)) == 3 * 2 * 6
-    baselines = {"black", "mean image", "albedo x constant", "direct light alone", "direct light and reflections"}
+    baselines = {"black", "mean image", "albedo x constant", "direct light alone", "reflections too"}
     assert {r.predictor for r in records} == {MODEL, *baselines}
 
 

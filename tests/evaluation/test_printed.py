@@ -59,7 +59,7 @@ def test_nan_is_shown_and_never_best() -> None:
     assert _bold_numbers(printed) == ["0.2000"]
 
 
-@pytest.mark.parametrize(("metrics", "width"), [(list(METRICS)[:6], 80), (list(METRICS), 100)])
+@pytest.mark.parametrize(("metrics", "width"), [(list(METRICS)[:6], 80), (list(METRICS), 80)])
 def test_the_metrics_fit_a_terminal(scenes, bootstrap, metrics, width) -> None:
     values = dict.fromkeys(metrics, 12.3456)
     scenes = [replace(scene, triangles=123456, values=values) for scene in scenes]

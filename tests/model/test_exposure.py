@@ -9,7 +9,7 @@ from networks import network
 from random_scenes import random_views
 
 from rfpp.batch import RaggedBatch, SceneViews
-from rfpp.gbuffer.first_hit import DIRECT_CHANNELS
+from rfpp.gbuffer.first_hit import LIGHT_CHANNELS
 from rfpp.model.exposure import ArrivingLight, UnitExposure
 from rfpp.model.ray_bundle import CameraOrigin
 from rfpp.scene.triangles import EMISSION, SceneTriangles
@@ -96,12 +96,12 @@ def test_exposure_of_a_packed_scene_is_its_own_and_a_rigid_motion_does_not_chang
 
 
 def with_brighter_lights(views: SceneViews, factor: float) -> SceneViews:
-    """The scene's emission and the direct light in its quickstart G-buffer (the last six channels) times a factor."""
+    """The scene's emission and the light in its quickstart G-buffer times a factor."""
     old: SceneTriangles = views.triangles
     material = old.material.copy()
     material[:, EMISSION] *= factor
     gbuffer = views.gbuffer.copy()
-    gbuffer[:, -6:] *= factor
+    gbuffer[:, 10:19] *= factor
     return replace(views, triangles=replace(old, material=material), gbuffer=gbuffer)
 
 
@@ -109,8 +109,8 @@ def with_brighter_lights(views: SceneViews, factor: float) -> SceneViews:
 def test_brighter_lights_make_the_image_brighter_by_the_same(factor):
     net = network(*QUICKSTART)
     net.decoder.ray_position = CameraOrigin()  # whose position would otherwise be the last channel
-    assert net.gbuffer_channels[-2:] == DIRECT_CHANNELS
-    views = random_views(np.random.default_rng(3), (12, 6, 1, 1), channels=16)
+    assert net.gbuffer_channels[4:7] == LIGHT_CHANNELS
+    views = random_views(np.random.default_rng(3), (12, 6, 1, 1), channels=22)
 
     def radiance(sample):
         with torch.no_grad():

@@ -55,9 +55,10 @@ def test_a_pixel_below_zero_is_nearly_black_and_can_come_back():
 def test_a_surface_that_reflects_nothing_is_black_and_colours_come_from_their_own_reflectance():
     net = network("+experiment=quickstart")
     net.decoder.film = CentreSample()
-    views = random_views(np.random.default_rng(0), channels=19)
+    views = random_views(np.random.default_rng(0), channels=25)
     names = net.gbuffer_channels
-    assert names == ("albedo", "normal", "roughness", "specular", "direct_diffuse", "direct_glossy", "position")
+    light = ("direct_diffuse", "direct_glossy", "reflected_light", "reflected_albedo")
+    assert names == ("albedo", "normal", "roughness", "specular", *light, "position")
     views.gbuffer[:, :3] = 0  # albedo
     views.gbuffer[:, 7:10] = 0  # specular
     views.gbuffer[:, 1, :, :8] = 0.5  # a left half with green albedo
