@@ -4,6 +4,9 @@ Part of the term T² L_e of the rendering equation's series: the glossy lobe at 
 the second. No first-hit buffer can help with it, since a mirror shows what is elsewhere. Rays are drawn from the lobe,
 so on a mirror they are the mirrored ray, all of them, and the picture in it is sharp; on a dull surface they spread as
 the light does. A ray that meets an emitter brings nothing: this light is direct light, and counted there.
+
+A dull surface that sees a small highlight in a shiny one would sparkle: few of its rays find it. As in the reference
+images, whose path tracer does so at its default ("Filter Glossy" 1 of Cycles), the shinier surface is blurred then.
 """
 
 from __future__ import annotations
@@ -66,10 +69,24 @@ def _reflected(
     position = eye + hits.distance[used, None] * way
     normal = facing_normals(sampler.triangles, triangle, hits.barycentric[used], way)
     there = Surface.at(sampler.triangles, triangle, position, normal, eye)
-    diffuse, glossy = gathered(sampler, there, 1, rng)
-    weight = ggx.lobe(view[rows], incoming, surface.alpha[rows]) / ggx.pdf(view[rows], incoming, surface.alpha[rows])
+    by_lobe = ggx.pdf(view[rows], incoming, surface.alpha[rows])
+    blur = _blur(surface.part(rows), incoming[:, 2], by_lobe)
+    diffuse, glossy = gathered(sampler, replace(there, alpha=np.maximum(there.alpha, blur)), 1, rng)
+    weight = ggx.lobe(view[rows], incoming, surface.alpha[rows]) / by_lobe
 
     reflected = np.zeros((2, len(surface), 3))
     np.add.at(reflected[0], rows, weight[:, None] * (there.diffuse * diffuse + there.specular * glossy))
     np.add.at(reflected[1], rows, weight[:, None] * (there.diffuse + there.specular))
     return reflected * ggx.multiple_scattering(view[:, 2], surface.alpha, surface.specular) / samples
+
+
+def _blur(
+    surface: Surface, cosine: Float[np.ndarray, " n"], by_lobe: Float[np.ndarray, " n"]
+) -> Float[np.ndarray, " n"]:
+    """The least α of what is seen in these directions from a surface, as Cycles has it with "Filter Glossy" 1.
+
+    It grows to 1/2 as the density falls with which both lobes of the surface together send out such a ray.
+    """
+    diffuse, specular = surface.diffuse.mean(-1), surface.specular.mean(-1)
+    density = (diffuse * cosine / np.pi + specular * by_lobe) / (diffuse + specular)
+    return 0.5 * np.sqrt((1 - density).clip(0))

@@ -105,7 +105,7 @@ def test_agrees_with_the_first_of_cycles_indirect_bounces(in_process, name):
     exact = {
         "samples": 512, "denoise": False, "adaptive_threshold": 0.0, "light_threshold": 0.0, "max_bounces": 1,
         "diffuse_bounces": 1, "glossy_bounces": 1, "clamp_direct": 0.0, "clamp_indirect": 0.0, "caustics": True,
-        "blur_glossy": 0.0, "filter_width": 0.01, "threads": 1,
+        "blur_glossy": 1.0, "filter_width": 0.01, "threads": 1,
     }  # fmt: skip
     settings = {k: v for k, v in quick.items() if k != "_target_"} | exact
     one_view = (pose[None].astype(np.float32), np.array([fov], np.float32))
@@ -115,5 +115,5 @@ def test_agrees_with_the_first_of_cycles_indirect_bounces(in_process, name):
     gbuffer = reflecting(scene, pose, samples=1024, size=40, fov=fov)
     ours = channel(gbuffer, scene.material, fov, "specular") * gbuffer.reflection.light
     ours, expected = np.minimum(ours, 1), np.minimum(expected, 1)  # single pixels see a lamp in two mirrors
-    assert np.abs(ours - expected).mean() / expected.mean() < 0.2  # noise of either, where mirrors show highlights
-    assert ours.mean() == pytest.approx(expected.mean(), rel=0.03)
+    assert np.abs(ours - expected).mean() / expected.mean() < 0.12  # a third of it is the noise of either
+    assert ours.mean() == pytest.approx(expected.mean(), rel=0.07)
