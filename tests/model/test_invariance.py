@@ -17,7 +17,7 @@ VARIANTS = {
     "paper": (),
     "quickstart": ("+experiment=quickstart",),
 }
-MOST_CHANNELS = 19
+MOST_CHANNELS = 25
 
 
 @pytest.fixture(params=VARIANTS.values(), ids=VARIANTS.keys())

@@ -1,6 +1,7 @@
 """glTF that cannot be represented, is damaged or means harm is refused in one line that names it."""
 
 import json
+import math
 from collections.abc import Callable
 from pathlib import Path
 
