@@ -57,6 +57,7 @@ def measure(
         seed: of scenes and samples.
         progress: called with (images made, images in all).
     """
+    exact: dict[int, GBuffer] = {}
     points = [(name, Case(**{**case, name: value})) for name, values in sweeps.items() for value in values]
     for number, (sweep, at) in enumerate(points):
         drawn = _like(family, at)
@@ -67,8 +68,9 @@ def measure(
             gbuffer, took = _made(scene, at.resolution, at.samples, seed=1)
             seconds.append(took)
             if sweep == "samples":
-                exact, _ = _made(scene, at.resolution, converged, seed=2)
-                mine, theirs = (np.stack(_radiance(g, scene)) for g in (gbuffer, exact))
+                if index not in exact:  # the same scene for every number of samples
+                    exact[index], _ = _made(scene, at.resolution, converged, seed=2)
+                mine, theirs = (np.stack(_radiance(g, scene)) for g in (gbuffer, exact[index]))
                 differences.append(np.abs(mine - theirs).mean(axis=(1, 2, 3)))
                 levels.append(theirs.mean(axis=(1, 2, 3)))
             progress(number * scenes + index + 1, len(points) * scenes)
