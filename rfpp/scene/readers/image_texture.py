@@ -16,7 +16,7 @@ from rfpp.errors import SceneError
 #: Only formats whose readers run no other program.
 _FORMATS = ("PNG", "JPEG", "WEBP", "BMP", "TGA", "TIFF")
 _MAX_PIXELS = 8192 * 8192
-_MAX_PIXELS_OF_A_FILE = 2**28  # 16 pictures of 4096², which take ten seconds
+_MAX_PIXELS_OF_A_FILE = 2**28  # 16 pictures of 4096²
 _SIDE_KEPT = 1024  # pixels along the longer side; 11 MB with all coarser copies
 _KEPT = 32  # pictures
 _SIDE = 6  # cells along a triangle's side: 36 equal parts, each looked up at its centre
