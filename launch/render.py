@@ -1,14 +1,14 @@
 """Render scene files with a trained network: pictures from their cameras, or films.
 
-    python launch/render.py scene=data/scenes/cornell_box.json \\
-        checkpoint=data/runs/quickstart/latest/checkpoints/best.ckpt
-    python launch/render.py scene=data/scenes/cornell_box.json checkpoint=… motion=turntable tone_map=agx
+python launch/render.py scene=data/scenes/cornell_box.json
+python launch/render.py scene=chair.glb checkpoint=data/runs/quickstart/latest/checkpoints/best.ckpt
+python launch/render.py scene=data/scenes/cornell_box.json motion=turntable tone_map=agx
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -41,11 +41,13 @@ from rfpp.training.tracking.registry import checkpoint_file
 def main(cfg: DictConfig) -> list[Path]:
     """Render `cfg.scene` with `cfg.checkpoint`; returns an EXR file for each camera, or an MP4 file for each scene."""
     if missing := OmegaConf.missing_keys(cfg):
-        key = max(missing)  # the scene before the checkpoint
+        key = max(missing)  # the scene before others
         raise UserError(f"{key} is not given: add {key}=… to the command line")
     request = Request.of(OmegaConf.to_container(cfg, resolve=True))
     tone_map = instantiate(cfg.tone_map, stops=request.exposure)
-    motion, cycles = instantiate(cfg.get("motion")), cycles_settings(request)
+    motion, cycles = instantiate(cfg.get("motion")), cycles_settings(request, cfg.against)
+    if motion and cfg.against:
+        raise UserError(f"against={cfg.against}: stands beside stills, not in a film: leave it away")
     if motion:
         scenes = [motion.frames_of(path, request.one_camera(), request.load) for path in request.scene]
         files = [request.film(path, motion.name) for path in request.scene]
@@ -54,10 +56,10 @@ def main(cfg: DictConfig) -> list[Path]:
         scenes = [with_cameras(request.load(path), request.cameras) for path in request.scene]
         files = [request.stills(path, len(scene.fov)) for path, scene in zip(request.scene, scenes, strict=True)]
 
-    checkpoint = checkpoint_file(str(cfg.checkpoint), cfg.registry.tracking_uri, Path(cfg.registry.folder))
-    renderer = Renderer.load(checkpoint, request.device, cfg.precision)
+    renderer = load(cfg.checkpoint, cfg)
+    beside = {str(cfg.against): load(cfg.against, cfg)} if cfg.against else {}
     size = renderer.image_size(request.resolution)
-    studio = Studio(renderer, size, request, tone_map, cycles, Console(highlight=False, soft_wrap=True))
+    studio = Studio(renderer, beside, size, request, tone_map, cycles, Console(highlight=False, soft_wrap=True))
     written: list[Path] = []
     for path, scene, file in zip(request.scene, scenes, files, strict=True):
         written += [studio.film(scene, file)] if motion else studio.stills(scene, file)
@@ -67,9 +69,16 @@ def main(cfg: DictConfig) -> list[Path]:
 
 @dataclass(frozen=True)
 class Studio:
-    """What the pictures of one command have in common; `cycles` are settings of the path tracer if it renders too."""
+    """What the pictures of one command have in common.
+
+    Attributes:
+        renderer: of all files but comparisons.
+        beside: name → another one, whose pictures stand in comparisons too.
+        cycles: settings of the path tracer, if it renders too.
+    """
 
     renderer: Renderer
+    beside: Mapping[str, Renderer]
     size: tuple[int, int]
     request: Request
     tone_map: ToneMap
@@ -94,8 +103,10 @@ class Studio:
             with self.console.status(f"Path tracing {many} at {self.cycles.samples} samples …"):
                 [(references, seconds)] = path_traced([scene], self.size, self.cycles)
             self.console.print(f"{scene.name}: reference of {self.cycles.samples} samples in {seconds:.2f} s")
-            compared = zip(images, references, files, strict=True)
-            notes = [f": FLIP {write_comparison(*three, self.tone_map):.3f}" for three in compared]
+            others = {who: other.render(scene, self.size, None, samples) for who, other in self.beside.items()}
+            for view, (image, reference, file) in enumerate(zip(images, references, files, strict=True)):
+                seen = {who: pictures[view] for who, pictures in others.items()}
+                notes[view] = f": FLIP {write_comparison(image, reference, file, self.tone_map, seen):.3f}"
         for file, note in zip(files, notes, strict=True):
             self.console.print(f"  {file}, {file.with_suffix('.png').name}{note}")
         return files
@@ -120,9 +131,17 @@ class Studio:
         return file
 
 
-def cycles_settings(request: Request) -> CyclesSettings | None:
+def load(checkpoint: str, cfg: DictConfig) -> Renderer:
+    """A checkpoint by whatever name `cfg` gives it."""
+    file = checkpoint_file(str(checkpoint), cfg.registry.tracking_uri, Path(cfg.registry.folder))
+    return Renderer.load(file, cfg.device, cfg.precision)
+
+
+def cycles_settings(request: Request, against: str | None) -> CyclesSettings | None:
     """How references are path-traced, if any are wanted. Raises UserError: no such settings, or a missing program."""
     if not request.reference:
+        if against:
+            raise UserError(f"against={against}: stands in the comparison with a reference: add reference=true")
         return None
     chosen = settings("reference", "reference_settings", request.reference_settings)
     require_blender()

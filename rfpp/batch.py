@@ -68,6 +68,7 @@ class SceneViews:
         gbuffer: [V, C, H, W] first-hit channels in camera space.
         image: [V, 3, H, W] linear radiance, where a reference exists.
         texture: [M, 13, P, P] where materials vary over triangles, see `rfpp.scene.texture`.
+        object_light: [O, 3] see `rfpp.gbuffer.object_light`, for networks that read it.
     """
 
     key: str
@@ -77,6 +78,7 @@ class SceneViews:
     gbuffer: np.ndarray
     image: np.ndarray | None = None
     texture: np.ndarray | None = None
+    object_light: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
@@ -93,6 +95,7 @@ class RaggedBatch:
         image: [B, V, 3, H, W] linear radiance, or None when rendering.
         keys: B sample names.
         texture: [M, 13, P, P] emission linear, or None where every triangle has one material.
+        object_light: [O, 3] linear radiance that leaves each object by the first bounce, or None.
     """
 
     positions: Float[Tensor, "m 3 3"]
@@ -106,6 +109,7 @@ class RaggedBatch:
     image: Float[Tensor, "b v 3 h w"] | None
     keys: tuple[str, ...]
     texture: Float[Tensor, "m 13 p p"] | None = None
+    object_light: Float[Tensor, "o 3"] | None = None
 
     @classmethod
     def pack(cls, samples: Sequence[SceneViews]) -> RaggedBatch:
@@ -125,6 +129,7 @@ class RaggedBatch:
         if textures and len(textures) < len(samples):
             raise ValueError("textured scenes and others cannot share a batch")
         with_images = all(s.image is not None for s in samples)
+        lit = [s.object_light for s in samples if s.object_light is not None]
         return cls(
             positions=packed([t.positions for t in triangles]),
             normals=packed([t.normals for t in triangles]),
@@ -137,6 +142,7 @@ class RaggedBatch:
             image=stacked([s.image for s in samples]) if with_images else None,
             keys=tuple(s.key for s in samples),
             texture=packed(textures) if textures else None,
+            object_light=packed(lit) if len(lit) == len(samples) else None,
         )
 
     @property
@@ -161,13 +167,15 @@ class RaggedBatch:
         return 0.5 * torch.linalg.vector_norm(torch.linalg.cross(b - a, c - a), dim=-1)
 
     def dimmed(self, factor: Float[Tensor, " b"]) -> RaggedBatch:
-        """Every scene's emitted radiance divided by its factor; images stay as they are."""
-        per_triangle = factor[self.scenes.index][self.objects.index]
+        """Every scene's emitted radiance, and its objects' light, divided by its factor; images stay as they are."""
+        per_object = factor[self.scenes.index]
+        per_triangle = per_object[self.objects.index]
         material = torch.cat([self.material[:, :7], self.material[:, 7:10] / per_triangle[:, None]], dim=-1)
         texture = self.texture
         if texture is not None:
             texture = torch.cat([texture[:, :10], texture[:, 10:] / per_triangle[:, None, None, None]], dim=1)
-        return replace(self, material=material, texture=texture)
+        light = None if self.object_light is None else self.object_light / per_object[:, None]
+        return replace(self, material=material, texture=texture, object_light=light)
 
     def only(self, objects: Sequence[int]) -> RaggedBatch:
         """Some objects, in this order, as one scene of their own."""
@@ -182,6 +190,7 @@ class RaggedBatch:
             objects=Segments.from_lengths([self.objects.lengths[number] for number in objects], rows.device),
             scenes=Segments.from_lengths([len(objects)], rows.device),
             texture=None if self.texture is None else self.texture[rows],
+            object_light=None if self.object_light is None else self.object_light[list(objects)],
         )
 
     def object_chunks(self, objects: Sequence[int], triangles: int) -> Iterator[list[int]]:

@@ -43,4 +43,5 @@ def random_views(
         fov=rng.uniform(30, 60, views).astype(np.float32),
         gbuffer=rng.uniform(0, 1, (views, channels, resolution, resolution)).astype(np.float32),
         image=rng.exponential(0.5, (views, 3, resolution, resolution)).astype(np.float32),
+        object_light=rng.exponential(0.3, (len(object_sizes), 3)).astype(np.float32),
     )

@@ -12,8 +12,10 @@ def stored_sample(scene: PackedScene | None = None, resolution: int = 16) -> Sce
     """Of this scene, or of a box on a floor, with invented images."""
     if scene is None:
         scene = pack(BoxFamily().sample(np.random.default_rng(1), np.random.default_rng(2), held_out=False))
-    gbuffers = Stage(scene.triangles).gbuffers(scene.c2w, scene.fov, resolution, 2, np.random.SeedSequence(0))
+    stage = Stage(scene.triangles)
+    gbuffers = stage.gbuffers(scene.c2w, scene.fov, resolution, 2, np.random.SeedSequence(0))
     images = np.random.default_rng(3).exponential(0.5, (len(scene.fov), resolution, resolution, 3)).astype(np.float32)
     meta = {"family": "boxes", "index": 1, "redraws": {"scene_redraws": 2, "empty_views": 3, "unlit_views": 4}}
     key = "train-000001"
-    return decode(key, encode(SceneSample(key, scene.triangles, scene.c2w, scene.fov, images, gbuffers, meta)))
+    sample = SceneSample(key, scene.triangles, scene.c2w, scene.fov, images, gbuffers, stage.object_light(), meta)
+    return decode(key, encode(sample))

@@ -18,6 +18,7 @@ from rfpp.gbuffer.first_hit import (
     stack_channels,
 )
 from rfpp.gbuffer.light_sampler import LightSampler
+from rfpp.gbuffer.object_light import object_light
 from rfpp.gbuffer.raycast import RayCaster
 from rfpp.gbuffer.reflection import with_reflection
 from rfpp.inference.bounded_cache import BoundedCache
@@ -30,6 +31,8 @@ _BYTES_PER_TRIANGLE = 200
 _SAMPLER_BYTES_PER_TRIANGLE = 8
 #: Of a GBuffer: triangle, normal and depth.
 _BYTES_PER_PIXEL = 20
+#: Of the light of one.
+_BYTES_PER_OBJECT = 12
 
 
 class GBufferSource:
@@ -46,7 +49,7 @@ class GBufferSource:
 
     def __init__(self, channels: Sequence[str], max_bytes: int = 1 << 30):
         self.channels = tuple(channels)
-        self._kept: BoundedCache[GBuffer | RayCaster | LightSampler] = BoundedCache(max_bytes)
+        self._kept: BoundedCache[GBuffer | RayCaster | LightSampler | np.ndarray] = BoundedCache(max_bytes)
 
     def of(
         self, scene: PackedScene, height: int, width: int, light_samples: int
@@ -59,7 +62,7 @@ class GBufferSource:
         if not self.channels:
             return lambda view: np.zeros((0, height, width), np.float32)
         triangles = scene.triangles
-        geometry = _digest(triangles.positions, triangles.normals, triangles.is_emissive)
+        geometry = _geometry(triangles)
 
         def channels(view: int) -> Float[np.ndarray, "c h w"]:
             c2w, fov = scene.c2w[view], scene.fov[view]
@@ -70,6 +73,13 @@ class GBufferSource:
             return stack_channels(gbuffer, triangles.material, fov, self.channels)
 
         return channels
+
+    def object_light(self, triangles: SceneTriangles) -> Float[np.ndarray, "o 3"]:
+        """See `rfpp.gbuffer.object_light`."""
+        geometry = _geometry(triangles)
+        key = ("object light", geometry, _digest(triangles.material))
+        size = _BYTES_PER_OBJECT * triangles.num_objects
+        return self._kept.recall(key, size, lambda: object_light(self._lights(triangles, geometry)))
 
     def _first_hit(
         self,
@@ -96,6 +106,10 @@ class GBufferSource:
     def _shadow_caster(self, triangles: SceneTriangles, geometry: bytes) -> RayCaster:
         size = _BYTES_PER_TRIANGLE * len(triangles)
         return self._kept.recall(("shadows", geometry), size, lambda: RayCaster(triangles.positions))
+
+
+def _geometry(triangles: SceneTriangles) -> bytes:
+    return _digest(triangles.positions, triangles.normals, triangles.is_emissive, triangles.object_offsets)
 
 
 def _digest(*arrays: np.ndarray) -> bytes:

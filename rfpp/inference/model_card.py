@@ -35,16 +35,23 @@ images = Renderer.load("{folder}").render(Scene.load("scene.json"))  # [views, h
 
 It knows what it was trained on: scenes in [-0.5, 0.5]³ lit by emissive triangles, diffuse and glossy surfaces, no
 textures finer than a triangle, no transparency.
-"""
+{notes}"""
 
 
-def model_card(info: CheckpointInfo, parameters: int, folder: str, metrics: Mapping[str, Mapping[str, float]]) -> str:
+def model_card(
+    info: CheckpointInfo,
+    parameters: int,
+    folder: str,
+    metrics: Mapping[str, Mapping[str, float | str]],
+    notes: str = "",
+) -> str:
     """Markdown with the front matter that the Hugging Face hub reads.
 
     Args:
         parameters: how many numbers were learned.
         folder: its name.
-        metrics: split → metric → mean, as an evaluation found them; may be empty.
+        metrics: row → metric → number, as an evaluation found them; may be empty.
+        notes: Markdown that ends the card.
     """
     height, width = info.resolution
     unknown = "unknown"
@@ -60,15 +67,20 @@ def model_card(info: CheckpointInfo, parameters: int, folder: str, metrics: Mapp
         commit=info.commit or unknown,
         folder=folder,
         metrics=_table(metrics),
+        notes=f"\n{notes.strip()}\n" if notes.strip() else "",
     )
 
 
-def _table(metrics: Mapping[str, Mapping[str, float]]) -> str:
+def _table(metrics: Mapping[str, Mapping[str, float | str]]) -> str:
     if not metrics:
         return "Metrics: not evaluated.\n"
     names = list(dict.fromkeys(name for values in metrics.values() for name in values))
     rows = [
-        f"| {split} | " + " | ".join(f"{values[name]:.4g}" if name in values else "" for name in names) + " |"
-        for split, values in metrics.items()
+        f"| {row} | " + " | ".join(_cell(values.get(name, "")) for name in names) + " |"
+        for row, values in metrics.items()
     ]
     return "\n".join([f"| Metrics | {' | '.join(names)} |", "|---" * (1 + len(names)) + "|", *rows, ""])
+
+
+def _cell(number: float | str) -> str:
+    return number if isinstance(number, str) else f"{number:.4g}"

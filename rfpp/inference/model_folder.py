@@ -13,6 +13,7 @@ from safetensors.torch import load_file, save
 from torch import Tensor
 
 from rfpp.errors import CheckpointError, MissingDependencyError
+from rfpp.inference.shipped import shipped
 from rfpp.scene.files import write_atomically
 
 CONFIG_FILE, WEIGHTS_FILE, CARD_FILE = "config.json", "model.safetensors", "README.md"
@@ -21,20 +22,22 @@ _HUB_ID = re.compile(r"[A-Za-z0-9][\w.-]*/[A-Za-z0-9][\w.-]*")
 
 
 def names_folder(checkpoint: Path | str) -> bool:
-    """Whether this names such a folder: one that is there, or what can only be a hub id."""
+    """Whether this names such a folder: one that is there, one of ours, or what can only be a hub id."""
     path = Path(checkpoint)
     is_hub_id = _HUB_ID.fullmatch(str(checkpoint)) and path.suffix != ".ckpt"
-    return path.is_dir() or (not path.exists() and bool(is_hub_id))
+    return path.is_dir() or (not path.exists() and bool(shipped(str(checkpoint)) or is_hub_id))
 
 
 def folder_of(checkpoint: Path | str) -> Path:
-    """The folder, fetched from the hub if it is not here.
+    """The folder itself, one that comes with the project, or one fetched from the hub.
 
     Raises:
         CheckpointError: the hub does not give it.
         MissingDependencyError: a hub id without huggingface_hub.
     """
-    return Path(checkpoint) if Path(checkpoint).is_dir() else _downloaded(str(checkpoint))
+    if Path(checkpoint).is_dir():
+        return Path(checkpoint)
+    return shipped(str(checkpoint)) or _downloaded(str(checkpoint))
 
 
 def read_folder(folder: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:

@@ -73,7 +73,8 @@ class ObjectEncoder:
             for number, part in zip(numbers, made, strict=True):
                 tokens[keys[number]] = part
                 self._kept.put(keys[number], part, _bytes(part))
-        return exposure.to(self.device), SceneTokens.joined([tokens[key] for key in keys], batch.scenes.lengths)
+        whole = SceneTokens.joined([tokens[key] for key in keys], batch.scenes.lengths)
+        return exposure.to(self.device), self.network.source(whole, batch)
 
 
 def object_keys(batch: RaggedBatch) -> list[bytes]:
@@ -90,4 +91,4 @@ def object_keys(batch: RaggedBatch) -> list[bytes]:
 
 
 def _bytes(tokens: SceneTokens) -> int:
-    return tokens.features.nbytes + tokens.points.nbytes + tokens.log_emission.nbytes
+    return tokens.features.nbytes + tokens.points.nbytes + tokens.log_light.nbytes

@@ -137,6 +137,7 @@ def _model(config: dict[str, Any]) -> dict[str, Any]:
             "windows": windows,
         },
         "exposure": {"_target_": "rfpp.model.exposure.UnitExposure"},
+        "source": {"_target_": "rfpp.model.source.EmittedLight"},
     }
 
 

@@ -75,19 +75,22 @@ class Renderer:
         dtype = matrix_dtype(precision, device)
         return cls(*load_network(checkpoint), device, dtype)
 
-    def save(self, folder: Path | str, metrics: Mapping[str, Mapping[str, float]] | None = None) -> Path:
+    def save(
+        self, folder: Path | str, metrics: Mapping[str, Mapping[str, float | str]] | None = None, notes: str = ""
+    ) -> Path:
         """Write the network as a folder that `load` reads, here or from the hub: safetensors, config and a model card.
 
         Weights are written as this renderer holds them: load with precision="fp32" to pass them on unrounded.
 
         Args:
-            metrics: split → metric → mean for the card, from an evaluation.
+            metrics: row → metric → number for the card, from an evaluation.
+            notes: Markdown for the card, e.g. what the network cannot do.
 
         Raises:
             UserError: it cannot be written.
         """
         folder, parameters = Path(folder), sum(p.numel() for p in self.network.parameters())
-        card = model_card(self.info, parameters, folder.name, metrics or {})
+        card = model_card(self.info, parameters, folder.name, metrics or {}, notes)
         return write_folder(folder, {CHECKPOINT_KEY: self.info.to_dict()}, self.network.state_dict(), card)
 
     def render(
@@ -138,7 +141,10 @@ class Renderer:
     ) -> Iterator[Float[np.ndarray, "h w 3"]]:
         """One view at a time, which bounds the memory; a thread casts the next one's rays meanwhile."""
         no_gbuffer = np.zeros((len(scene.fov), 0, 0, 0), np.float32)
-        views = SceneViews(scene.name, scene.triangles, scene.c2w, scene.fov, no_gbuffer, texture=scene.texture)
+        light = self._gbuffers.object_light(scene.triangles) if self.network.source.reads_object_light else None
+        views = SceneViews(
+            scene.name, scene.triangles, scene.c2w, scene.fov, no_gbuffer, texture=scene.texture, object_light=light
+        )
         batch = RaggedBatch.pack([views])
         gbuffers = self._gbuffers.of(scene, height, width, light_samples)
         with ThreadPoolExecutor(1, "gbuffer") as beside:

@@ -26,8 +26,13 @@ def write_still(image: Image, target: Path, tone_map: ToneMap, layers: Mapping[s
     save_png(tone_map(image), target.with_suffix(".png"))
 
 
-def write_comparison(image: Image, reference: Image, target: Path, tone_map: ToneMap) -> float:
+def write_comparison(
+    image: Image, reference: Image, target: Path, tone_map: ToneMap, others: Mapping[str, Image] | None = None
+) -> float:
     """The reference as files like those of the image, and a sheet of both with their errors; returns the ꟻLIP.
+
+    Args:
+        others: heading → another image of the same view, to stand beside with its error.
 
     Raises:
         UserError: a file cannot be written.
@@ -40,5 +45,7 @@ def write_comparison(image: Image, reference: Image, target: Path, tone_map: Ton
         "error": [error_map(image, reference)],
         f"FLIP, mean {seen.mean():.3f}": [false_colours(seen)],
     }
+    for name, other in (others or {}).items():
+        columns |= {name: [tone_map(other)], f"error of {name}": [error_map(other, reference)]}
     save_png(panel(columns), target.with_name(f"{target.stem}_comparison.png"))
     return float(seen.mean())

@@ -9,6 +9,7 @@ from torch import Tensor, nn
 
 from rfpp.batch import RaggedBatch, Segments
 from rfpp.model.exposure import ArrivingLight, UnitExposure
+from rfpp.model.source import EmittedLight, FirstBounce
 from rfpp.model.tokenizer import ObjectTokens, SceneTokens, TriangleTokens
 from rfpp.model.transport import Bounces, EncodedTransport, PhysicsInformedTransport, UnconstrainedTransport
 from rfpp.model.triangle_embedding import TexturePatchEmbedding, TriangleEmbedding
@@ -59,6 +60,7 @@ class RenderFormerPP(nn.Module):
         transport: PhysicsInformedTransport | UnconstrainedTransport | EncodedTransport,
         decoder: ViewDecoder,
         exposure: UnitExposure | ArrivingLight,
+        source: EmittedLight | FirstBounce,
     ):
         super().__init__()
         self.embedding = embedding
@@ -66,6 +68,7 @@ class RenderFormerPP(nn.Module):
         self.transport = transport
         self.decoder = decoder
         self.exposure = exposure
+        self.source = source
 
     def forward(self, batch: RaggedBatch) -> Rendering:
         scenes = self.encode(batch)
@@ -79,10 +82,11 @@ class RenderFormerPP(nn.Module):
     def tokenize(self, batch: RaggedBatch) -> tuple[Float[Tensor, " b"], SceneTokens]:
         """Each scene's exposure and, at that, its tokens before any light has moved."""
         exposure = self.exposure(batch)
-        return exposure, self.tokens(batch.dimmed(exposure))
+        batch = batch.dimmed(exposure)
+        return exposure, self.source(self.tokens(batch), batch)
 
     def tokens(self, batch: RaggedBatch) -> SceneTokens:
-        """The tokens of scenes that are at their exposure already, before any light has moved."""
+        """What a scene at its exposure is made of, with what it emits; see `source`."""
         return self.tokenizer(self.embedding(batch), batch)
 
     def transported(self, exposure: Float[Tensor, " b"], tokens: SceneTokens) -> EncodedScenes:

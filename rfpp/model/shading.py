@@ -40,18 +40,24 @@ class ReflectedLight:
 
 
 class LightBeyondDirect(ReflectedLight):
-    """As ReflectedLight, but the head's maps are what is to be added, in log space, to the direct light.
+    """As ReflectedLight, but the direct light is known, and the head's maps say what is to be added to it.
 
     Not in the paper. T L_e, the first bounce of the rendering equation's series, is computed with its shadows
-    (`rfpp.gbuffer.direct_light`) and arrives as log10(1 + light) in the G-buffer; every further bounce is predicted.
+    (`rfpp.gbuffer.direct_light`) and arrives as log10(1 + light) in the G-buffer. Six maps are log10(1 + light) of
+    every further bounce, which is smooth where the first has a shadow's edge. The other six let the known light be
+    corrected, by a factor 2 σ(map): it carries the noise of its samples, and highlights that pixels are too coarse for.
     Maps of zero give the direct light alone.
     """
 
+    maps = 12
     channels: tuple[str, ...] = (*ReflectedLight.channels, "direct_diffuse", "direct_glossy")
 
-    def __call__(self, maps: Float[Tensor, "n 6 h w"], gbuffer: Float[Tensor, "n 12 h w"]) -> Float[Tensor, "n 3 h w"]:
+    def __call__(self, maps: Float[Tensor, "n 12 h w"], gbuffer: Float[Tensor, "n 12 h w"]) -> Float[Tensor, "n 3 h w"]:
+        correction, further = maps.chunk(2, dim=1)
         reflectance, direct = gbuffer.chunk(2, dim=1)
-        return super().__call__(maps + direct, reflectance)
+        diffuse, glossy = (2 * correction.sigmoid() * log_decode(direct)).chunk(2, dim=1)
+        albedo, specular = reflectance.chunk(2, dim=1)
+        return albedo * diffuse + specular * glossy + super().__call__(further, reflectance)
 
 
 class LightBeyondReflection(LightBeyondDirect):
@@ -62,7 +68,7 @@ class LightBeyondReflection(LightBeyondDirect):
 
     channels: tuple[str, ...] = (*LightBeyondDirect.channels, "reflected_light")
 
-    def __call__(self, maps: Float[Tensor, "n 6 h w"], gbuffer: Float[Tensor, "n 15 h w"]) -> Float[Tensor, "n 3 h w"]:
+    def __call__(self, maps: Float[Tensor, "n 12 h w"], gbuffer: Float[Tensor, "n 15 h w"]) -> Float[Tensor, "n 3 h w"]:
         known, glossy, reflected = gbuffer.split([9, 3, 3], dim=1)
         glossy = log_encode(log_decode(glossy) + log_decode(reflected))
         return super().__call__(maps, torch.cat([known, glossy], dim=1))

@@ -24,27 +24,28 @@ class SceneTokens:
     Attributes:
         features: [N, D].
         points: [N, 9] three world-space points that place each token.
-        log_emission: [N, 3] log10(1 + emitted radiance), area-weighted over what the token stands for.
+        log_light: [N, 3] what the transport starts from: log10(1 + emitted radiance), area-weighted over what the token
+            stands for, or what another `source` says.
         segments: B segments of the N tokens.
     """
 
     features: Float[Tensor, "n width"]
     points: Float[Tensor, "n 9"]
-    log_emission: Float[Tensor, "n 3"]
+    log_light: Float[Tensor, "n 3"]
     segments: Segments
 
     @classmethod
     def joined(cls, parts: Sequence[SceneTokens], objects: Sequence[int]) -> SceneTokens:
         """Tokens of objects, one after another, as those of scenes of so many `objects`."""
-        names = ("features", "points", "log_emission")
-        features, points, log_emission = (torch.cat([getattr(part, name) for part in parts]) for name in names)
+        names = ("features", "points", "log_light")
+        features, points, log_light = (torch.cat([getattr(part, name) for part in parts]) for name in names)
         per_object = len(features) // sum(objects)
         segments = Segments.from_lengths([per_object * count for count in objects], features.device)
-        return cls(features, points, log_emission, segments)
+        return cls(features, points, log_light, segments)
 
     def split(self, objects: int) -> list[SceneTokens]:
         """The tokens of each of so many objects, in memory of their own."""
-        parts = zip(*(x.chunk(objects) for x in (self.features, self.points, self.log_emission)), strict=True)
+        parts = zip(*(x.chunk(objects) for x in (self.features, self.points, self.log_light)), strict=True)
         segments = Segments.from_lengths([len(self.features) // objects], self.features.device)
         return [SceneTokens(*(piece.clone() for piece in part), segments) for part in parts]
 
@@ -76,7 +77,7 @@ class TriangleTokens(nn.Module):
         return SceneTokens(
             features=torch.cat([self.registers.to(triangles.dtype).repeat(scenes, 1), triangles])[order],
             points=points[order],
-            log_emission=torch.cat([nothing, batch.log_emission])[order],
+            log_light=torch.cat([nothing, batch.log_emission])[order],
             segments=Segments.from_lengths([registers + n for n in counts], device),
         )
 
@@ -132,7 +133,7 @@ class ObjectTokens(nn.Module):
         return SceneTokens(
             features=self.norm(tokens),
             points=points,
-            log_emission=mean_by_object(batch.log_emission, batch).repeat_interleave(n_q, dim=0),
+            log_light=mean_by_object(batch.log_emission, batch).repeat_interleave(n_q, dim=0),
             segments=Segments.from_lengths([n_q * n for n in batch.scenes.lengths], batch.positions.device),
         )
 

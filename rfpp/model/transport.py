@@ -89,10 +89,10 @@ class EmissionEncoder(nn.Module):
         )
 
     def forward(
-        self, features: Float[Tensor, "n width"], log_emission: Float[Tensor, "n 3"]
+        self, features: Float[Tensor, "n width"], log_light: Float[Tensor, "n 3"]
     ) -> tuple[Float[Tensor, "n width"], Float[Tensor, "n width"]]:
         """(F_e, F_s)."""
-        emission = self.emission_proj(log_emission)
+        emission = self.emission_proj(log_light)
         emitted = self.mlp(torch.cat([features, emission.to(features.dtype)], dim=-1))
         scattered = self.mlp(torch.cat([features, torch.zeros_like(features)], dim=-1))
         return emitted, scattered
@@ -143,7 +143,7 @@ class PhysicsInformedTransport(nn.Module):
     def bounces(self, tokens: SceneTokens, count: int) -> Bounces:
         """The operator applied `count` times, whatever K."""
         pattern, rotation = AttentionPattern(tokens.segments), self.position(tokens.points)
-        emitted, scattered = self.emission_encoder(tokens.features, tokens.log_emission)
+        emitted, scattered = self.emission_encoder(tokens.features, tokens.log_light)
         states = [scattered]
         for _ in range(count):
             states.append(self.operator(states[-1] + emitted, pattern, rotation))

@@ -151,7 +151,9 @@ class ImportJob:
         seed = np.random.SeedSequence(int.from_bytes(digest.digest()))
         stage = Stage(scene.triangles)
         gbuffers = stage.gbuffers(scene.c2w, scene.fov, images.shape[1], self.light_samples, seed)
-        sample = SceneSample(task.key, scene.triangles, scene.c2w, scene.fov, images, gbuffers, meta)
+        sample = SceneSample(
+            task.key, scene.triangles, scene.c2w, scene.fov, images, gbuffers, stage.object_light(), meta
+        )
         try:
             blocks = tar.pack(task.key, encode(sample))
         except ShardError as error:

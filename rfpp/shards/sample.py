@@ -22,7 +22,7 @@ from rfpp.gbuffer.first_hit import CHANNELS, DIRECT_CHANNELS, REFLECTION_CHANNEL
 from rfpp.scene.triangles import SceneTriangles
 
 #: Raised whenever a member, a dtype or a meaning changes; data of another version is refused, never guessed at.
-SCHEMA_VERSION = 4
+SCHEMA_VERSION = 5
 
 #: From the sample's number of views to the numbers of those wanted.
 ViewChoice = Callable[[int], Iterable[int]]
@@ -42,6 +42,7 @@ class SceneSample:
         fov: [V] float32 degrees along the longer image side.
         images: [V, H, W, 3] float32 linear radiance; half-precision values once stored.
         gbuffers: V G-buffers with their direct light and reflection.
+        object_light: [O, 3] float32 radiance that leaves each object by the first bounce (`rfpp.gbuffer.object_light`).
         meta: JSON-able: how the scene was made.
     """
 
@@ -51,6 +52,7 @@ class SceneSample:
     fov: Float[np.ndarray, " v"]
     images: Float[np.ndarray, "v h w 3"]
     gbuffers: tuple[GBuffer, ...]
+    object_light: Float[np.ndarray, "o 3"]
     meta: dict
 
 
@@ -65,6 +67,7 @@ def encode(sample: SceneSample) -> dict[str, bytes]:
         "normals": sample.triangles.normals.astype(np.float16),
         "material": _per_object_if_constant(sample.triangles),
         "object_offsets": sample.triangles.object_offsets.astype(np.int32),
+        "object_light": sample.object_light.astype(np.float32),
     }
     cameras = {"c2w": sample.c2w.astype(np.float32), "fov": sample.fov.astype(np.float32)}
     meta = {**sample.meta, "schema_version": SCHEMA_VERSION, "objects": list(sample.triangles.object_names)}
@@ -128,7 +131,7 @@ def decode(
             object_offsets=geometry["object_offsets"],
             object_names=tuple(meta.pop("objects")),
         )
-        _require_whole(triangles, cameras)
+        _require_whole(triangles, geometry["object_light"], cameras)
         return SceneSample(
             key=key,
             triangles=triangles,
@@ -136,6 +139,7 @@ def decode(
             fov=cameras["fov"][views],
             images=np.stack([layers(_IMAGE, view)["RGB"] for view in views]).astype(np.float32),
             gbuffers=tuple(_gbuffer(partial(layers, view=view), channels) for view in views),
+            object_light=geometry["object_light"],
             meta=meta,
         )
     except KeyError as error:
@@ -144,7 +148,7 @@ def decode(
         raise ShardError(f"{key}: a member is damaged ({error}): generate its shard again") from error
 
 
-def _require_whole(triangles: SceneTriangles, cameras: Mapping[str, np.ndarray]) -> None:
+def _require_whole(triangles: SceneTriangles, object_light: np.ndarray, cameras: Mapping[str, np.ndarray]) -> None:
     """Raises ValueError where arrays do not fit each other."""
     count, sizes, names = len(triangles), np.diff(triangles.object_offsets), triangles.object_names
     if triangles.positions.shape != (count, 3, 3) or triangles.normals.shape != (count, 3, 3):
@@ -155,6 +159,8 @@ def _require_whole(triangles: SceneTriangles, cameras: Mapping[str, np.ndarray])
         raise ValueError("object_offsets do not end at the number of triangles")
     if len(names) != len(sizes) or not all(isinstance(name, str) for name in names):
         raise ValueError("meta.json does not name every object")
+    if object_light.shape != (len(sizes), 3):
+        raise ValueError("object_light is not of as many objects")
     if cameras["c2w"].shape != (*cameras["fov"].shape, 4, 4):
         raise ValueError("c2w is not of as many views as fov")
 

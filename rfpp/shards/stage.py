@@ -10,6 +10,7 @@ from jaxtyping import Float
 from rfpp.gbuffer.direct_light import with_direct_light
 from rfpp.gbuffer.first_hit import GBuffer, camera_caster, first_hit
 from rfpp.gbuffer.light_sampler import LightSampler
+from rfpp.gbuffer.object_light import object_light
 from rfpp.gbuffer.reflection import with_reflection
 from rfpp.scene.triangles import SceneTriangles
 
@@ -33,6 +34,10 @@ class Stage:
     def lit(self, seen: GBuffer, c2w: Float[np.ndarray, "4 4"], fov: SupportsFloat, samples: int, seed: int) -> GBuffer:
         """The same with its direct light (`rfpp.gbuffer.direct_light`)."""
         return with_direct_light(seen, c2w, fov, self._lights, samples, seed)
+
+    def object_light(self) -> Float[np.ndarray, "o 3"]:
+        """Of every object (`rfpp.gbuffer.object_light`)."""
+        return object_light(self._lights)
 
     def gbuffers(
         self,

@@ -29,6 +29,7 @@ def select_views(sample: SceneSample, views: Sequence[int], channels: Sequence[s
         fov=sample.fov[list(views)],
         gbuffer=np.stack(gbuffer),
         image=np.ascontiguousarray(sample.images[list(views)].transpose(0, 3, 1, 2)),
+        object_light=sample.object_light,
     )
 
 
@@ -90,7 +91,8 @@ class ColourPermutation:
                 gbuffer[:, start : start + 3] = gbuffer[:, start : start + 3][:, order]
             start += CHANNELS[name]
         triangles = replace(views.triangles, material=material)
-        return replace(views, triangles=triangles, gbuffer=gbuffer, image=views.image[:, order])
+        light = views.object_light[:, order]
+        return replace(views, triangles=triangles, gbuffer=gbuffer, image=views.image[:, order], object_light=light)
 
 
 class TrainingViews(Dataset):

@@ -7,6 +7,7 @@ import pytest
 import yaml
 from known_scenes import LIGHT, look_at, material, moved, pack, rigid_motion, sphere, square, still_life
 from marks import requires_blender
+from scene_families import draw, family
 
 from rfpp.gbuffer import surface
 from rfpp.gbuffer.direct_light import with_direct_light
@@ -162,12 +163,13 @@ def test_a_scene_without_light_is_dark_and_channels_carry_the_light():
 
 
 @requires_blender
-@pytest.mark.parametrize("name", ["still life", "cornell_box", "many_objects_table", "roughness_spheres"])
+@pytest.mark.parametrize("name", ["still life", "drawn", "cornell_box", "many_objects_table", "roughness_spheres"])
 def test_agrees_with_cycles_direct_passes(in_process, name):
     if name == "still life":
         scene, pose, fov = still_life(), POSE, 40.0
     else:
-        described = Scene.load(ROOT / "data" / "scenes" / f"{name}.json")
+        stored = ROOT / "data" / "scenes" / f"{name}.json"
+        described = draw(family("large_scale"), 1, 2) if name == "drawn" else Scene.load(stored)
         scene, camera = SceneTriangles.from_scene(described), described.cameras[0]
         pose, fov = camera_to_world(camera), float(camera.fov)
     quick = yaml.safe_load((ROOT / "conf" / "reference" / "preview.yaml").read_text())

@@ -1,5 +1,7 @@
 """Which rays are cast anew when a scene or a camera changes; what comes out is what a new source would give."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from edited_scenes import changed, dimmed, lamp, moved, recoloured, scene
@@ -51,6 +53,23 @@ def test_a_moved_object_is_seen_where_it_is(channels, cast):
     assert cast.count("first_hit") == 6
     np.testing.assert_array_equal(after, stacked(GBufferSource(channels), moved(scene())))
     assert not np.array_equal(before, after)
+
+
+@pytest.mark.parametrize("edit", [recoloured, dimmed, moved])
+def test_light_of_objects_follows_every_edit_and_is_gathered_once(edit, cast):
+    source = GBufferSource(LIT)
+    before, again = (source.object_light(pack(scene()).triangles) for _ in range(2))
+    assert before is again and cast.count("LightSampler") == 1
+    after = source.object_light(pack(edit(scene())).triangles)
+    assert not np.array_equal(before, after)
+    np.testing.assert_array_equal(after, GBufferSource(LIT).object_light(pack(edit(scene())).triangles))
+
+
+def test_objects_that_were_joined_have_one_light():
+    source, triangles = GBufferSource(LIT), pack(scene()).triangles
+    offsets = np.delete(triangles.object_offsets, 1)
+    joined = replace(triangles, object_offsets=offsets, object_names=triangles.object_names[1:])
+    assert len(source.object_light(joined)) == len(source.object_light(triangles)) - 1
 
 
 def test_what_begins_to_emit_is_no_longer_seen():

@@ -88,7 +88,7 @@ def test_objects_encoded_alone_together_and_in_chunks_are_the_same_but_for_round
         _, tokens = ObjectEncoder(net, CPU, triangles_at_once=at_once).tokenize(batch)
         torch.testing.assert_close(tokens.features, whole.features, rtol=1e-5, atol=1e-5)
         torch.testing.assert_close(tokens.points, whole.points)
-        torch.testing.assert_close(tokens.log_emission, whole.log_emission)
+        torch.testing.assert_close(tokens.log_light, whole.log_light)
         assert tokens.segments.lengths == whole.segments.lengths
 
 

@@ -120,6 +120,16 @@ def test_a_film_with_reference_says_how_much_it_flickers(render, tmp_path):
     assert len(list((tmp_path / "out" / "cornell_box_turn_frames" / "reference").glob("*.exr"))) == 3
 
 
+@requires_blender
+def test_another_network_stands_beside_in_the_comparison(render, checkpoint, tmp_path):
+    size = {}
+    for name, against in (("alone", []), ("both", [f"against={checkpoint}"])):
+        out = tmp_path / f"{name}.exr"
+        render(f"scene={BOX}", "cameras=0", "reference=true", "reference_settings=preview", f"output={out}", *against)
+        size[name] = Image.open(tmp_path / f"{name}_comparison.png").size
+    assert size["both"][0] - 4 == 6 / 4 * (size["alone"][0] - 4)  # its picture and its error besides
+
+
 ONE = f"scene={BOX}"
 WRONG = {
     "a resolution that is none": ([ONE, "resolution=large"], "resolution"),
@@ -143,6 +153,8 @@ WRONG = {
     "numbered scenes that are one": ([ONE, "motion=numbered_scenes"], "is not a folder"),
     "other settings of the reference": ([ONE, "reference=true", "reference_settings=best"], "reference_settings=best"),
     "a reference that is neither wanted nor not": ([ONE, "reference=perhaps"], "reference"),
+    "another network without a reference": ([ONE, "against=other.ckpt"], "add reference=true"),
+    "another network in a film": ([ONE, "motion=turntable", "reference=true", "against=other.ckpt"], "not in a film"),
     "no scene": (["scene=[]"], "scene"),
     "a scene that is not there": (["scene=absent.json"], "absent.json"),
 }  # fmt: skip

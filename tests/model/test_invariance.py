@@ -71,6 +71,7 @@ def test_which_object_a_triangle_belongs_to_does_matter(net):
     merged = replace(
         views,
         triangles=replace(views.triangles, object_offsets=np.array([0, 20, 21], np.int32), object_names=("a", "b")),
+        object_light=views.object_light[1:],
     )
     assert not torch.allclose(image(net, merged), image(net, views), rtol=1e-3, atol=1e-6)
 

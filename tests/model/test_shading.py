@@ -25,7 +25,7 @@ def test_reflected_light_is_diffuse_plus_glossy():
 def test_nothing_beyond_direct_is_the_direct_light_alone():
     albedo, specular, diffuse, glossy = lit = torch.rand(4, 2, 3, 4, 4) * torch.tensor([1, 1, 9, 9]).view(4, 1, 1, 1, 1)
     gbuffer = torch.cat([albedo, specular, log_encode(diffuse), log_encode(glossy)], dim=1)
-    nothing = torch.zeros(2, 6, 4, 4, requires_grad=True)
+    nothing = torch.zeros(2, 12, 4, 4, requires_grad=True)
     image = LightBeyondDirect()(nothing, gbuffer)
     torch.testing.assert_close(image, albedo * diffuse + specular * glossy)
     assert (LightBeyondDirect()(nothing + 0.1, gbuffer) > image).all()
@@ -34,10 +34,20 @@ def test_nothing_beyond_direct_is_the_direct_light_alone():
     assert (nothing.grad > 0).all()
 
 
+def test_known_light_is_corrected_and_further_light_is_added():
+    albedo, specular, diffuse, glossy = torch.rand(4, 2, 3, 4, 4)
+    gbuffer = torch.cat([albedo, specular, log_encode(diffuse), log_encode(glossy)], dim=1)
+    known, further = albedo * diffuse + specular * glossy, torch.rand(2, 6, 4, 4)
+    for correction, factor in ((-50.0, 0), (0.0, 1), (50.0, 2)):
+        maps = torch.cat([torch.full((2, 6, 4, 4), correction), further], dim=1)
+        expected = factor * known + ReflectedLight()(further, gbuffer[:, :6])
+        torch.testing.assert_close(LightBeyondDirect()(maps, gbuffer), expected)
+
+
 def test_a_reflection_joins_the_glossy_light():
     albedo, specular, diffuse, glossy, reflected = torch.rand(5, 2, 3, 4, 4)
     lit = [albedo, specular, log_encode(diffuse), log_encode(glossy), log_encode(reflected)]
-    maps, gbuffer = torch.rand(2, 6, 4, 4), torch.cat(lit, dim=1)
+    maps, gbuffer = torch.rand(2, 12, 4, 4), torch.cat(lit, dim=1)
     image = LightBeyondReflection()(torch.zeros_like(maps), gbuffer)
     torch.testing.assert_close(image, albedo * diffuse + specular * (glossy + reflected))
     lit[3], lit[4] = log_encode(glossy + reflected), torch.zeros_like(reflected)

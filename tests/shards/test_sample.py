@@ -21,9 +21,11 @@ def sample() -> SceneSample:
     triangles = SceneTriangles.from_scene(scene)
     c2w = np.stack([camera_to_world(camera) for camera in scene.cameras])
     fov = np.array([camera.fov for camera in scene.cameras], np.float32)
-    gbuffers = Stage(triangles).gbuffers(c2w, fov, 12, 2, np.random.SeedSequence(0))
+    stage = Stage(triangles)
+    gbuffers = stage.gbuffers(c2w, fov, 12, 2, np.random.SeedSequence(0))
     images = np.random.default_rng(3).exponential(0.5, (2, 12, 12, 3)).astype(np.float32)
-    return SceneSample("train-000001", triangles, c2w, fov, images, gbuffers, {"family": "boxes", "index": 1})
+    meta = {"family": "boxes", "index": 1}
+    return SceneSample("train-000001", triangles, c2w, fov, images, gbuffers, stage.object_light(), meta)
 
 
 def test_round_trip(sample):
@@ -33,6 +35,8 @@ def test_round_trip(sample):
     for name in ("positions", "material", "object_offsets", "object_names"):
         np.testing.assert_array_equal(getattr(again.triangles, name), getattr(sample.triangles, name))
     np.testing.assert_allclose(again.triangles.normals, sample.triangles.normals, atol=5e-4)
+    np.testing.assert_array_equal(again.object_light, sample.object_light)
+    assert again.object_light.any()
     np.testing.assert_array_equal(again.c2w, sample.c2w)
     np.testing.assert_array_equal(again.fov, sample.fov)
     np.testing.assert_allclose(again.images, sample.images, rtol=2**-11, atol=1e-7)

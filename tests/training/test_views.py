@@ -139,5 +139,6 @@ def test_colour_channels_trade_places_everywhere_at_once(split):
             before, after = (v.triangles.material[:, columns] for v in (views, swapped))
             np.testing.assert_array_equal(after, before[:, order])
         np.testing.assert_array_equal(swapped.gbuffer[:, :3], views.gbuffer[:, order])
+        np.testing.assert_array_equal(swapped.object_light, views.object_light[:, order])
         np.testing.assert_array_equal(swapped.gbuffer[:, 3:], views.gbuffer[:, 3:])
         np.testing.assert_array_equal(swapped.triangles.material[:, 6], views.triangles.material[:, 6])

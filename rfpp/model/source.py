@@ -1,0 +1,40 @@
+"""What starts the transport: the light that scene tokens have before any of it has moved."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from rfpp.batch import RaggedBatch
+from rfpp.model.tokenizer import SceneTokens
+from rfpp.radiance import log_encode
+
+
+class EmittedLight:
+    """L_e, what the tokens emit (paper, Sec. 3.1). Most emit nothing."""
+
+    #: Whether batches must carry `object_light`.
+    reads_object_light = False
+
+    def __call__(self, tokens: SceneTokens, batch: RaggedBatch) -> SceneTokens:
+        return tokens
+
+
+class FirstBounce:
+    """T L_e instead: what objects send on of the light that the emitters send them. For tokens of objects.
+
+    Not in the paper. The series starts one term later: how lights, shadows and albedos make an object bright is
+    computed (`rfpp.gbuffer.object_light`), so that every token starts with light and the network has to move it on.
+    What the emitters send to the surfaces that a camera sees must then be in the G-buffer.
+    """
+
+    reads_object_light = True
+    #: Radiance, in units of the exposure, below which differences fade.
+    FLOOR = 0.01
+
+    def __call__(self, tokens: SceneTokens, batch: RaggedBatch) -> SceneTokens:
+        """Raises ValueError where the batch does not carry `object_light`."""
+        if batch.object_light is None:
+            raise ValueError("the network starts from the first bounce, but the batch carries no object_light")
+        per_object = len(tokens.features) // len(batch.objects)
+        light = log_encode(batch.object_light.to(tokens.log_light) / self.FLOOR)
+        return replace(tokens, log_light=light.repeat_interleave(per_object, dim=0))
