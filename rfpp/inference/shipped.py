@@ -14,6 +14,5 @@ _FOLDERS = (
 
 def shipped(name: str) -> Path | None:
     """The folder of the network of this name, if it is one of ours."""
-    if not name or Path(name).name != name:
-        return None
-    return next((folder / name for folder in _FOLDERS if (folder / name).is_dir()), None)
+    folders = (path for parent in _FOLDERS if parent.is_dir() for path in parent.iterdir() if path.is_dir())
+    return next((path for path in folders if path.name == name), None)
