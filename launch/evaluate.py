@@ -28,7 +28,8 @@ from rfpp.evaluation.printed import results_table
 from rfpp.evaluation.ranking import pictured_scenes, ranked_scenes
 from rfpp.evaluation.records import ImageRecord, scene_records
 from rfpp.evaluation.report import write_report
-from rfpp.evaluation.results import log_to_training_run, results_folder
+from rfpp.evaluation.results import log_to_training_run, results_folder, run_folder
+from rfpp.evaluation.training_cost import TrainingCost
 from rfpp.inference.checkpoint import load_network
 from rfpp.metrics.image import ImageMetrics
 from rfpp.metrics.lpips import LPIPS
@@ -102,7 +103,8 @@ def _evaluate(
 
     scenes, bootstrap = scene_records(images), Bootstrap(**cfg.evaluation.bootstrap)
     means, buckets = split_estimates(scenes, bootstrap), bucketed(scenes, cfg.evaluation.buckets, bootstrap)
-    evaluation = Evaluation.of(info, manifest, device, means)
+    cost = TrainingCost.of_run(run_folder(checkpoint))
+    evaluation = Evaluation.of(info, manifest, device, means, cost)
     tables = [*write_records(images, scenes, output), write_summary(means, output), write_buckets(buckets, output)]
     files = [*tables, evaluation.write(output), write_pictures(pictures, output), *panels, write_config(cfg, output)]
     report = write_report(output)

@@ -16,6 +16,7 @@ import torch
 
 from rfpp.errors import UserError
 from rfpp.evaluation.confidence import Estimate, Estimates
+from rfpp.evaluation.training_cost import TrainingCost
 from rfpp.inference.checkpoint import CheckpointInfo
 from rfpp.metrics.image import METRICS
 from rfpp.scene.files import write_atomically
@@ -34,6 +35,7 @@ class Evaluation:
         hardware: it was evaluated on.
         definitions: by metric name: the formula with its tone map and epsilon.
         means: by split, predictor ("model" or a baseline's name) and metric.
+        cost: of training, where it is known.
     """
 
     method: str
@@ -46,10 +48,16 @@ class Evaluation:
     hardware: str
     definitions: Mapping[str, str]
     means: Mapping[tuple[str, str], Estimates]
+    cost: TrainingCost | None = None
 
     @classmethod
     def of(
-        cls, info: CheckpointInfo, manifest: Manifest, device: torch.device, means: Mapping[tuple[str, str], Estimates]
+        cls,
+        info: CheckpointInfo,
+        manifest: Manifest,
+        device: torch.device,
+        means: Mapping[tuple[str, str], Estimates],
+        cost: TrainingCost | None = None,
     ) -> Evaluation:
         """Of the checkpoint that `info` describes, on the data of `manifest`, computed on `device`."""
         measured = {name for values in means.values() for name in values}
@@ -64,6 +72,7 @@ class Evaluation:
             hardware=hardware(device),
             definitions={name: metric.definition for name, metric in METRICS.items() if name in measured},
             means=means,
+            cost=cost,
         )
 
     @classmethod
@@ -77,7 +86,8 @@ class Evaluation:
                 for split, predictors in splits.items()
                 for predictor, values in predictors.items()
             }
-            return cls(**content, means=means)
+            cost = content.pop("cost", None)
+            return cls(**content, means=means, cost=cost and TrainingCost(**cost))
         except OSError as error:
             raise UserError(f"{path}: cannot be read ({error.strerror}): correct the path") from None
         except (ValueError, KeyError, TypeError, AttributeError) as error:
@@ -88,7 +98,7 @@ class Evaluation:
         splits: dict[str, dict[str, Any]] = defaultdict(dict)
         for (split, predictor), values in self.means.items():
             splits[split][predictor] = {name: _numbers(estimate) for name, estimate in values.items()}
-        about = {key: value for key, value in vars(self).items() if key != "means"}
+        about = {key: value for key, value in asdict(self).items() if key != "means"}
         text = json.dumps({**about, "splits": splits}, indent=1, allow_nan=False)
         return write_atomically(folder / EVALUATION_FILE, text.encode())
 

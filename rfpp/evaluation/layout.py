@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from rfpp.evaluation.evaluation_file import Evaluation
 from rfpp.evaluation.number_text import EMPTY, interval_text, number_text
 from rfpp.evaluation.rows import ResultTable, Row, Run
@@ -61,6 +63,15 @@ def training_text(run: Run, paper_steps: int | None = None) -> str:
     return f"{_thousands(steps)}{fraction} steps on {run.evaluations[0].trained_on}"
 
 
+def cost_text(run: Run) -> str:
+    """E.g. ", 0.66 s and 2.1 GiB each", the mean over its seeds; nothing where it is not known of all of them."""
+    costs = [evaluation.cost for evaluation in run.evaluations]
+    if not all(costs):
+        return ""
+    seconds, memory = np.mean([(cost.seconds, cost.memory) for cost in costs], axis=0)
+    return f", {seconds:.2g} s and {memory:.2g} GiB each"
+
+
 def _lines(row: Row, columns: Sequence[tuple[int, str]], notes: list[str]) -> Iterator[list[str]]:
     """The lines of one row; what they say of their runs is appended to `notes`."""
     label = row.label
@@ -78,7 +89,7 @@ def _lines(row: Row, columns: Sequence[tuple[int, str]], notes: list[str]) -> It
             yield [label, "baseline", *means]
             continue
         notes.append(f"[{len(notes) + 1}] {_description(run)}")
-        yield [label, f"ours [{len(notes)}]: {training_text(run, row.paper_steps)}", *means]
+        yield [label, f"ours [{len(notes)}]: {training_text(run, row.paper_steps)}{cost_text(run)}", *means]
         yield ["", "95% interval", *(interval_text(name, v) for v, (_, name) in zip(values, columns, strict=True))]
         if len(run.seeds) > 1:
             spread = [run.columns[group].deviations.get(name) for group, name in columns]

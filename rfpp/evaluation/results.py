@@ -26,13 +26,17 @@ def tracked_metrics(means: Mapping[tuple[str, str], Estimates], prefix: str = ""
 
 
 def results_folder(checkpoint: str, info: CheckpointInfo, data: str) -> Path:
-    """`evaluation` in the checkpoint's run folder, or `evaluation_<data>` for a data set it was not trained on.
+    """`evaluation` in the checkpoint's run folder, or `evaluation_<data>` for a data set it was not trained on."""
+    return run_folder(checkpoint) / _artifact_folder(info, data)
+
+
+def run_folder(checkpoint: str) -> Path:
+    """Of the training that made a checkpoint.
 
     A released network (a folder, or a name on a hub) is of no run here and gets a folder of its own among them.
     """
     path = Path(checkpoint)
-    run = path.absolute().parents[1] if path.is_file() else RUNS / path.name
-    return run / _artifact_folder(info, data)
+    return path.absolute().parents[1] if path.is_file() else RUNS / path.name
 
 
 def log_to_training_run(

@@ -101,6 +101,8 @@ def _about(row: Row, run: Run | None) -> CsvRow:
         "steps": _joined(trained, lambda e: e.steps),
         "paper_steps": row.paper_steps,
         "seeds": _joined(trained, lambda e: e.seed),
+        "step_s": _joined(trained, lambda e: e.cost and f"{e.cost.seconds:.4g}"),
+        "memory_GiB": _joined(trained, lambda e: e.cost and f"{e.cost.memory:.4g}"),
         "commit": _joined(trained, lambda e: e.commit),
         "evaluated_on": _joined(evaluations, lambda e: e.data),
         "manifests": _joined(evaluations, lambda e: e.data_manifest),

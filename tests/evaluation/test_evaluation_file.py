@@ -9,6 +9,7 @@ from networks import checkpoint_info
 from rfpp.errors import UserError
 from rfpp.evaluation.confidence import Estimate
 from rfpp.evaluation.evaluation_file import EVALUATION_FILE, Evaluation, hardware, read_evaluations
+from rfpp.evaluation.training_cost import TrainingCost
 from rfpp.metrics.image import METRICS
 from rfpp.shards.manifest import Manifest
 
@@ -16,6 +17,16 @@ from rfpp.shards.manifest import Manifest
 def test_what_is_written_is_read(evaluation, tmp_path) -> None:
     path = evaluation().write(tmp_path / "new")
     assert path == tmp_path / "new" / EVALUATION_FILE
+    assert Evaluation.read(path) == evaluation()
+
+
+def test_cost_is_kept_and_older_files_do_without(evaluation, tmp_path) -> None:
+    known = evaluation(cost=TrainingCost(0.5, 2.25))
+    path = known.write(tmp_path)
+    assert Evaluation.read(path) == known
+    content = json.loads(path.read_text())
+    assert content.pop("cost") == {"seconds": 0.5, "memory": 2.25}
+    path.write_text(json.dumps(content))
     assert Evaluation.read(path) == evaluation()
 
 

@@ -6,6 +6,7 @@ import re
 import pytest
 
 from rfpp.evaluation.tables import main, result_tables, write_tables
+from rfpp.evaluation.training_cost import TrainingCost
 
 TABLES = ("table1", "table2", "others")
 
@@ -87,6 +88,16 @@ def test_trainings_that_differ_in_more_than_their_seed_are_not_averaged(tables, 
     text = tables(evaluation(), evaluation(seed=1, level=0.3, **change))["table1.md"]
     assert "sd of" not in text
     assert r"ours \[2\]" in text
+
+
+def test_what_a_step_took_stands_beside_quality_where_every_seed_tells(tables, evaluation) -> None:
+    costs = [TrainingCost(0.5, 2.0), TrainingCost(0.7, 3.0)]
+    seeds = [evaluation(data="toys", seed=seed, cost=cost) for seed, cost in enumerate(costs)]
+    text = tables(*seeds)
+    assert "27K steps on toys, 0.6 s and 2.5 GiB each" in text["others.md"]
+    rows = [row for row in _csv_rows(text["others.csv"]) if row["method"] == "RenderFormer++"]
+    assert {(row["step_s"], row["memory_GiB"]) for row in rows} == {("0.5; 0.7", "2; 3")}
+    assert "GiB" not in tables(seeds[0], evaluation(data="toys", seed=1))["others.md"]
 
 
 def test_table_2_is_the_mean_over_both_data_sets_and_splits(tables, evaluation) -> None:

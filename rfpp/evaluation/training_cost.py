@@ -1,0 +1,35 @@
+"""What training took, from the journal that its run kept."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from rfpp.training.tracking.journal import records
+from rfpp.training.tracking.sending import JOURNAL
+
+
+@dataclass(frozen=True)
+class TrainingCost:
+    """Of one step, on the machine that trained.
+
+    Attributes:
+        seconds: the median, time that the loader was waited for included.
+        memory: the most, in GiB: of a GPU what PyTorch allocated, else what the process held, its loaders left out.
+    """
+
+    seconds: float
+    memory: float
+
+    @classmethod
+    def of_run(cls, folder: Path) -> TrainingCost | None:
+        """Of the training in this folder; None where no journal tells (a network from elsewhere)."""
+        journal = folder / "tracking" / JOURNAL
+        if not journal.is_file():
+            return None
+        values = [record["values"] for record, _ in records(journal) if record["kind"] == "metrics"]
+        rates = [v["throughput/steps_per_s"] for v in values if "throughput/steps_per_s" in v]
+        memory = [v[name] for v in values for name in ("memory/peak", "memory/resident") if name in v]
+        return cls(float(1 / np.median(rates)), float(max(memory))) if rates and memory else None
