@@ -50,24 +50,22 @@ class Case:
         triangles = _triangles(sizes, rng)
         eyes = 1.8 * _directions(rng, self.views)
         cameras = [Camera(position=tuple(eye), look_at=(0, 0, 0), up=(0.1, 0.2, 1), fov=40) for eye in eyes.tolist()]
-        image, gbuffer = noise(channels, self.views, self.resolution, rng)
         return SceneViews(
             key="invented",
             triangles=triangles,
             c2w=np.stack([camera_to_world(camera) for camera in cameras]),
             fov=np.full(self.views, 40, np.float32),
-            gbuffer=gbuffer,
-            image=image,
+            **noise(channels, objects=len(sizes), views=self.views, resolution=self.resolution, rng=rng),
         )
 
 
 def noise(
-    channels: Sequence[str], views: int, resolution: int, rng: np.random.Generator
-) -> tuple[Float[np.ndarray, "v 3 h w"], Float[np.ndarray, "v c h w"]]:
-    """What stands for images and G-buffers where only their size matters."""
+    channels: Sequence[str], objects: int, views: int, resolution: int, rng: np.random.Generator
+) -> dict[str, np.ndarray]:
+    """What stands for images, G-buffers and the light of objects where only their size matters: parts of SceneViews."""
     shape = (views, 3 + sum(CHANNELS[name] for name in channels), resolution, resolution)
     image, gbuffer = np.split(rng.random(shape, np.float32), [3], axis=1)
-    return image, gbuffer
+    return {"image": image, "gbuffer": gbuffer, "object_light": rng.random((objects, 3), np.float32)}
 
 
 def object_sizes(triangles: int, objects: int, rng: np.random.Generator) -> Int[np.ndarray, " objects"]:

@@ -74,8 +74,8 @@ class Training:
     def _noisy(self, rng: np.random.Generator, channels: Sequence[str]) -> SceneViews:
         scene = pack(self.family.sample(*rng.spawn(2), held_out=False))
         scene = scene.views([i % len(scene.fov) for i in range(self.views)])
-        image, gbuffer = noise(channels, self.views, self.resolution, rng)
-        return SceneViews("", scene.triangles, scene.c2w, scene.fov, gbuffer, image)
+        invented = noise(channels, scene.triangles.num_objects, self.views, self.resolution, rng)
+        return SceneViews("", scene.triangles, scene.c2w, scene.fov, **invented)
 
     def work(self, scenes: Sequence[SceneViews]) -> Work:
         """Of a step on these scenes."""
