@@ -102,7 +102,9 @@ def with_brighter_lights(views: SceneViews, factor: float) -> SceneViews:
     material[:, EMISSION] *= factor
     gbuffer = views.gbuffer.copy()
     gbuffer[:, 10:19] *= factor
-    return replace(views, triangles=replace(old, material=material), gbuffer=gbuffer)
+    return replace(
+        views, triangles=replace(old, material=material), gbuffer=gbuffer, object_light=factor * views.object_light
+    )
 
 
 @pytest.mark.parametrize("factor", [0.01, 2.0, 50.0])

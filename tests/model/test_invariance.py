@@ -52,7 +52,7 @@ def reordered(views: SceneViews, objects: list[int], rng: np.random.Generator | 
         object_offsets=np.concatenate([[0], np.cumsum([len(p) for p in pieces])]).astype(np.int32),
         object_names=tuple(old.object_names[o] for o in objects),
     )
-    return replace(views, triangles=triangles)
+    return replace(views, triangles=triangles, object_light=views.object_light[objects])
 
 
 def test_object_order_does_not_matter(net):
