@@ -32,9 +32,11 @@ class FirstBounce:
     FLOOR = 0.01
 
     def __call__(self, tokens: SceneTokens, batch: RaggedBatch) -> SceneTokens:
-        """Raises ValueError where the batch does not carry `object_light`."""
+        """Raises ValueError where the batch does not carry `object_light`, or tokens do not stand for objects."""
         if batch.object_light is None:
             raise ValueError("the network starts from the first bounce, but the batch carries no object_light")
         per_object = len(tokens.features) // len(batch.objects)
+        if tokens.segments.lengths != tuple(per_object * objects for objects in batch.scenes.lengths):
+            raise ValueError("the first bounce is known of objects, and these tokens stand for something else")
         light = log_encode(batch.object_light.to(tokens.log_light) / self.FLOOR)
         return replace(tokens, log_light=light.repeat_interleave(per_object, dim=0))

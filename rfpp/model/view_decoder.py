@@ -21,6 +21,7 @@ from rfpp.model.encoding import RelativeSpatialEncoding, Rotation, rotate
 from rfpp.model.film import CentreSample, PixelFilter
 from rfpp.model.ray_bundle import CameraOrigin, FirstHitPosition, RayBundleEmbedding
 from rfpp.model.ray_windows import ShiftedWindows, WholeView
+from rfpp.model.shading import LightBeyondDirect, LightBeyondReflection, LogRadiance, ReflectedLight
 from rfpp.model.tokenizer import SceneTokens
 from rfpp.radiance import log_encode
 

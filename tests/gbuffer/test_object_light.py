@@ -74,5 +74,14 @@ def test_without_light_everything_is_dark():
     assert not leaving((square(), material(0.5)), (box(0.2), material(0.5))).any()
 
 
+def test_an_object_without_surface_sends_nothing_and_disturbs_no_other():
+    point = (np.zeros((1, 3, 3)), material(0.5))
+    with np.errstate(invalid="ignore"):  # its normal, of the scene
+        scene = pack(point, (square(), material(0.5)), LAMP)
+    light = object_light(LightSampler(scene))
+    assert not light[0].any()
+    np.testing.assert_allclose(light[1], leaving((square(), material(0.5)), LAMP)[0], rtol=1e-6)
+
+
 def with_material(scene: SceneTriangles, rows: np.ndarray) -> SceneTriangles:
     return SceneTriangles(scene.positions, scene.normals, rows, scene.object_offsets, scene.object_names)

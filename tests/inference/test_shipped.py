@@ -12,8 +12,8 @@ from rfpp.inference.renderer import Renderer
 
 @pytest.fixture
 def ours(tmp_path, monkeypatch):
-    """The folder of a network called "toy", the second of the places where they are looked for."""
-    monkeypatch.setattr(shipped, "_FOLDERS", (tmp_path / "absent", tmp_path / "models"))
+    """The folder of a network called "toy"."""
+    monkeypatch.setattr(shipped, "_MODELS", tmp_path / "models")
     return Renderer(network(), checkpoint_info()).save(tmp_path / "models" / "toy")
 
 
@@ -32,6 +32,11 @@ def test_a_folder_of_that_name_here_comes_first(ours, tmp_path, monkeypatch):
 @pytest.mark.parametrize("name", ["", ".", "..", "../models/toy", "models/toy", "toys"])
 def test_other_names_are_none_of_ours(ours, name):
     assert shipped.shipped(name) is None
+
+
+def test_without_any_network_no_name_is_ours(tmp_path, monkeypatch):
+    monkeypatch.setattr(shipped, "_MODELS", tmp_path / "absent")
+    assert shipped.shipped("toy") is None
 
 
 def test_an_unknown_name_is_refused(ours):

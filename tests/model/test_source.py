@@ -53,6 +53,11 @@ def test_twice_the_light_is_twice_the_image_at_the_exposure_of_the_lights(batch)
     torch.testing.assert_close(same.log_light, tokens.log_light)
 
 
+def test_tokens_of_triangles_are_refused(batch):
+    with pytest.raises(ValueError, match="something else"):
+        network("model=renderformer", FIRST_BOUNCE)(batch)
+
+
 def test_a_batch_without_it_says_so(batch):
     with pytest.raises(ValueError, match="object_light"):
         network(FIRST_BOUNCE)(replace(batch, object_light=None))
