@@ -1,8 +1,10 @@
 """Render scene files with a trained network: pictures from their cameras, or films.
 
-    python launch/render.py scene=data/scenes/cornell_box.json \\
-        checkpoint=data/runs/quickstart/latest/checkpoints/best.ckpt
-    python launch/render.py scene=data/scenes/cornell_box.json checkpoint=… motion=turntable tone_map=agx
+    python launch/render.py scene=data/scenes/cornell_box.json
+    python launch/render.py scene=chair.glb checkpoint=data/runs/quickstart/latest/checkpoints/best.ckpt
+    python launch/render.py scene=chair.glb motion=turntable tone_map=agx
+
+Where no checkpoint is given, the network that comes with the project renders.
 """
 
 from __future__ import annotations

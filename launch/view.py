@@ -1,7 +1,7 @@
 """Look at a scene and edit it in a browser while a trained network renders it.
 
-    python launch/view.py scene=data/scenes/cornell_box.json \\
-        checkpoint=data/runs/quickstart/latest/checkpoints/best.ckpt
+    python launch/view.py scene=data/scenes/cornell_box.json
+    python launch/view.py scene=chair.glb checkpoint=data/runs/quickstart/latest/checkpoints/best.ckpt
 
 Drag to turn, scroll to come closer, drag with the right button to move. The page is for this machine only unless
 host=0.0.0.0 says otherwise: whoever can open it can use this machine's processor.
@@ -18,7 +18,7 @@ from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
 
 from rfpp import Renderer, Scene
-from rfpp.entry import CONFIG_DIR, entry_point, required, settings
+from rfpp.entry import CONFIG_DIR, entry_point, settings
 from rfpp.errors import MissingDependencyError
 from rfpp.tone_maps import ToneMap
 from rfpp.training.tracking.registry import checkpoint_file
@@ -32,7 +32,7 @@ def main(cfg: DictConfig) -> None:
         from rfpp.viewer.server import Viewer
     except ImportError as error:
         raise MissingDependencyError(f"the viewer needs viser ({error}): pip install -e '.[viewer]'") from None
-    checkpoint = checkpoint_file(required(cfg, "checkpoint"), cfg.registry.tracking_uri, Path(cfg.registry.folder))
+    checkpoint = checkpoint_file(str(cfg.checkpoint), cfg.registry.tracking_uri, Path(cfg.registry.folder))
     renderer = Renderer.load(checkpoint, cfg.device, cfg.precision)
     viewer = Viewer(
         renderer,

@@ -29,7 +29,6 @@ def parameters(tmp_path_factory) -> dict:
     return {
         "ROOT": str(ROOT),
         "SHARDS": str(folder / "data"),
-        "CHECKPOINT": str(folder / "runs" / "run" / "checkpoints" / "best.ckpt"),
         "SCENE": str(ROOT / "data" / "scenes" / "cornell_box.json"),
         "STORE": store_uri(folder / "runs"),
         "OUTPUT": str(folder / "renders"),

@@ -33,7 +33,13 @@ def render(composed, checkpoint, tmp_path, capsys):
     from launch.render import main
 
     def run(*overrides: str) -> tuple[list[Path], str]:
-        where = [f"checkpoint={checkpoint}", "device=cpu", "precision=fp32", f"output={tmp_path}/out"]
+        where = [
+            f"checkpoint={checkpoint}",
+            "device=cpu",
+            "precision=fp32",
+            f"output={tmp_path}/out",
+            "resolution=null",
+        ]
         capsys.readouterr()
         return main.__wrapped__(composed("render", *where, *overrides)), capsys.readouterr().out
 
