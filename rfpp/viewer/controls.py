@@ -18,7 +18,7 @@ from rfpp.scene.packed import PackedScene, pack
 from rfpp.scene.spec import Camera, Scene, SceneObject
 from rfpp.tone_maps import ToneMap
 from rfpp.viewer.comparison import COMPARISONS
-from rfpp.viewer.edits import moved, power, remade, replaced, shining, tint
+from rfpp.viewer.edits import moved, power, quaternion, remade, replaced, shining, tint, turned
 from rfpp.viewer.picked_colour import from_picker, to_picker
 from rfpp.viewer.reference import PathTracer, Reference
 from rfpp.viewer.session import Drawn, Session
@@ -29,6 +29,7 @@ from rfpp.viewer.window import camera_of
 ToneMaps = Mapping[str, Callable[..., ToneMap]]
 
 _STRONGEST_LIGHT = 2.0  # times the strongest of the scene as it was loaded
+_HANDLE_SIZE = 0.2  # world units
 
 
 def add_view(
@@ -60,7 +61,8 @@ def add_view(
 class ObjectControls:
     """One object at a time: where it stands, what it is made of, and how it shines."""
 
-    def __init__(self, gui: viser.GuiApi, session: Session, scene: Scene, complain: Callable[[str], None]):
+    def __init__(self, client: viser.ClientHandle, session: Session, scene: Scene, complain: Callable[[str], None]):
+        gui = client.gui
         self._session, self._complain = session, complain
         self._filling = False
         lights = sorted((item for item in scene.objects if item.material.is_emissive), key=power, reverse=True)
@@ -68,6 +70,7 @@ class ObjectControls:
         brightest = power(lights[0]) if lights else 1.0
         with gui.add_folder("Objects and lights"):
             self.name = gui.add_dropdown("Object", tuple(item.name for item in (*lights, *others)))
+            drag = gui.add_checkbox("Drag in the picture", initial_value=False)
             self.translation = gui.add_vector3("Position", (0.0, 0.0, 0.0), step=0.01)
             self.rotation = gui.add_vector3("Rotation (degrees)", (0.0, 0.0, 0.0), step=1.0)
             self.scale = gui.add_vector3("Scale", (1.0, 1.0, 1.0), step=0.01)
@@ -79,6 +82,9 @@ class ObjectControls:
             )
             self.tint = gui.add_rgb("Light colour", (255, 255, 255))
             undo = gui.add_button("Undo all edits")
+        self.handles = client.scene.add_transform_controls(
+            "/object", scale=_HANDLE_SIZE, depth_test=False, visible=drag.value
+        )
 
         self.name.on_update(lambda _: self._fill())
         for handle in (self.translation, self.rotation, self.scale):
@@ -88,6 +94,8 @@ class ObjectControls:
         for handle in (self.power, self.tint):
             handle.on_update(lambda _: self._edit(self._shining))
         undo.on_click(lambda _: self._reset(scene))
+        drag.on_update(lambda _: setattr(self.handles, "visible", drag.value))
+        self.handles.on_update(lambda _: self._dragged())
         self._fill()
 
     def _item(self) -> SceneObject:
@@ -96,6 +104,7 @@ class ObjectControls:
     def _fill(self) -> None:
         """Show the chosen object's values."""
         item = self._item()
+        self._place_handles(item)
         self._filling = True  # setting a value calls what hears of its changes
         try:
             self.translation.value, self.rotation.value = item.transform.translation, item.transform.rotation
@@ -110,9 +119,27 @@ class ObjectControls:
         if self._filling:
             return
         try:
-            self._session.change(scene=replaced(self._session.view.scene, edited(self._item())))
+            item = edited(self._item())
+            self._session.change(scene=replaced(self._session.view.scene, item))
         except UserError as error:
             self._complain(str(error))
+        else:
+            self._place_handles(item)
+
+    def _place_handles(self, item: SceneObject) -> None:
+        self.handles.position, self.handles.wxyz = item.transform.translation, quaternion(item.transform)
+
+    def _dragged(self) -> None:
+        """Where the handles are now, the object is to be."""
+        self._filling = True
+        try:
+            self.translation.value = tuple(self.handles.position.tolist())
+            self.rotation.value = turned(self.handles.wxyz)
+        finally:
+            self._filling = False
+        item = self._item()
+        if (there := self._moved(item)).transform != item.transform:  # they are let go where they were
+            self._session.change(scene=replaced(self._session.view.scene, there))
 
     def _moved(self, item: SceneObject) -> SceneObject:
         return moved(item, translation=self.translation.value, rotation=self.rotation.value, scale=self.scale.value)

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+
 from rfpp.scene.spec import Material, Scene, SceneObject, Transform, Vector
 
 
@@ -14,6 +18,16 @@ def replaced(scene: Scene, edited: SceneObject) -> Scene:
 def moved(item: SceneObject, **transform: object) -> SceneObject:
     """The object with other values of its transform. Raises SceneError for a bad one."""
     return SceneObject(**{**dict(item), "transform": Transform(**{**dict(item.transform), **transform})})
+
+
+def quaternion(transform: Transform) -> Float[np.ndarray, " 4"]:
+    """Its rotation as (w, x, y, z)."""
+    return Rotation.from_euler("xyz", transform.rotation, degrees=True).as_quat(scalar_first=True)
+
+
+def turned(quaternion: Float[np.ndarray, " 4"]) -> Vector:
+    """(w, x, y, z), of any length but 0, as a `Transform.rotation`."""
+    return tuple(Rotation.from_quat(quaternion, scalar_first=True).as_euler("xyz", degrees=True).tolist())
 
 
 def remade(item: SceneObject, **material: object) -> SceneObject:

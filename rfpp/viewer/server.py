@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 import threading
 from collections.abc import Callable
 from contextlib import redirect_stdout
@@ -39,6 +40,7 @@ class Viewer:
 
     Raises:
         SceneError: there is no camera.
+        UserError: host or port is none of this machine's.
     """
 
     def __init__(
@@ -59,11 +61,9 @@ class Viewer:
         self._tone_maps, self._longer_side, self._moving_seconds = tone_maps, longer_side, moving_seconds
         self._turn = threading.Lock()
         self._sessions: dict[int, Session] = {}
-        try:
-            with redirect_stdout(StringIO()):  # it announces itself in a box
-                self._server = viser.ViserServer(host=host, port=port, label=f"rfpp: {scene.name}", verbose=False)
-        except OSError as error:
-            raise UserError(f"{host}:{port}: cannot be listened at ({error.strerror}): choose another") from None
+        _require_address(host, port)
+        with redirect_stdout(StringIO()):  # it announces itself in a box
+            self._server = viser.ViserServer(host=host, port=port, label=f"rfpp: {scene.name}", verbose=False)
         self._server.scene.set_up_direction("+z")
         self._server.on_client_connect(self._welcome)
         self._server.on_client_disconnect(self._bid_farewell)
@@ -105,7 +105,7 @@ class Viewer:
         self._sessions[client.client_id] = session
         add_view(client.gui, session, shown, self._tone_maps, self._cameras, self._go_to(client))
         if isinstance(self._scene, Scene):
-            ObjectControls(client.gui, session, self._scene, complain)
+            ObjectControls(client, session, self._scene, complain)
         page.tell = add_reference(client.gui, session, self._tracer, complain)
         add_saving(client.gui, client, session, lambda: page.newest)
         client.camera.on_update(lambda _: session.change(camera=camera_of(client), aspect=aspect_of(client)))
@@ -116,6 +116,17 @@ class Viewer:
     def _bid_farewell(self, client: viser.ClientHandle) -> None:
         if session := self._sessions.pop(client.client_id, None):
             session.close()
+
+
+def _require_address(host: str, port: int) -> None:
+    """viser would try for ever."""
+    if not 0 <= port <= 65535:
+        raise UserError(f"port={port}: is none: choose one from 1024 to 65535")
+    try:
+        with socket.create_server((host, 0)):
+            pass
+    except OSError as error:
+        raise UserError(f"host={host}: is no address of this machine ({error.strerror}): leave it away") from None
 
 
 class _Page:

@@ -7,7 +7,7 @@ from edited_scenes import scene
 from rfpp.errors import SceneError
 from rfpp.scene.packed import pack
 from rfpp.scene.spec import SceneObject
-from rfpp.viewer.edits import moved, power, remade, replaced, shining, tint
+from rfpp.viewer.edits import moved, power, quaternion, remade, replaced, shining, tint, turned
 from rfpp.viewer.picked_colour import from_picker, to_picker
 
 
@@ -55,3 +55,19 @@ def test_colours_come_back_from_the_picker():
     for picked in [(0, 0, 0), (255, 255, 255), (1, 2, 3), (10, 128, 200)]:
         assert to_picker(from_picker(picked)) == picked
     assert from_picker((188, 188, 188)) == pytest.approx((0.5,) * 3, abs=0.005)
+
+
+@pytest.mark.parametrize("rotation", [(0, 0, 0), (30, 0, 0), (0, -50, 0), (0, 0, 170), (-120, 40, 75)])
+def test_an_object_turned_by_handles_stands_as_they_do(rotation):
+    peak = moved(item("peak_1"), rotation=rotation, scale=(1.0, 1.0, 1.0), translation=(0.0, 0.0, 0.0))
+    again = moved(peak, rotation=turned(3 * quaternion(peak.transform)))
+    np.testing.assert_allclose(
+        *(pack(replaced(scene(), each)).triangles.positions for each in (again, peak)), atol=1e-5
+    )
+    w, *axis = quaternion(peak.transform)
+    vertices = moved(peak, rotation=(0, 0, 0))
+    before, after = (pack(replaced(scene(), each)).triangles for each in (vertices, peak))
+    there = before.object_index == [o.name for o in scene().objects].index("peak_1")
+    v = before.positions[there].reshape(-1, 3)
+    t = 2 * np.cross(axis, v)  # v rotated by a unit quaternion
+    np.testing.assert_allclose(after.positions[there].reshape(-1, 3), v + w * t + np.cross(axis, t), atol=1e-5)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from browser import picture_of, requires_chromium
 from edited_scenes import scene
+from scipy.ndimage import binary_dilation, binary_erosion
 
 from rfpp.scene.spec import Scene
 from rfpp.viewer.controls import scene_file
@@ -43,12 +44,15 @@ def settled(browser) -> np.ndarray:
     return now
 
 
+def labelled(browser, label: str, selector: str):
+    """The control of this label."""
+    rows = browser.find_elements("xpath", f"//*[normalize-space(text())='{label}']/ancestor::*[.//input][1]")
+    return next(found for row in rows for found in row.find_elements("css selector", selector))
+
+
 def press(browser, label: str, key: str, times: int) -> None:
     """Keys on the slider of this label."""
-    rows = browser.find_elements(
-        "xpath", f"//*[normalize-space(text())='{label}']/ancestor::*[.//*[@role='slider']][1]"
-    )
-    slider = rows[0].find_element("css selector", "[role=slider]")
+    slider = labelled(browser, label, "[role=slider]")
     for _ in range(times):
         slider.send_keys(key)
 
@@ -76,6 +80,27 @@ def test_a_dimmed_light_encodes_that_light_and_darkens_the_picture(page):
     press(page, "Light power", Keys.HOME, 1)
     until(lambda: "1 of 6 objects encoded" in status(page) or abs(canvas(page).mean() - before.mean()) > 1)
     assert (settled(page) != before).any()
+
+
+def test_an_object_is_dragged_by_its_handles(page):
+    from selenium.webdriver import ActionChains
+
+    chosen = next(e for e in page.find_elements("css selector", "input") if e.get_attribute("value") == "lamp")
+    chosen.click()
+    until(lambda: [e for e in page.find_elements("css selector", "[role=option]") if e.text == "peak_1"])[0].click()
+    before = settled(page)
+    page.execute_script("arguments[0].click()", labelled(page, "Drag in the picture", "input[type=checkbox]"))
+    until(lambda: (canvas(page) != before).any())
+    handles = (settled(page) != before).any(axis=-1)
+    row, column = np.argwhere(binary_erosion(handles, iterations=5))[0]  # inside one of the squares between the axes
+    view = page.find_element("css selector", "canvas")
+    x, y = int(column) - handles.shape[1] // 2, int(row) - handles.shape[0] // 2
+    ActionChains(page).move_to_element_with_offset(view, x, y).click_and_hold().move_by_offset(20, 10).perform()
+    try:
+        until(lambda: "1 of 6 objects encoded" in status(page))
+    finally:
+        ActionChains(page).release().perform()
+    assert ((settled(page) != before).any(axis=-1) & ~binary_dilation(handles, iterations=40)).any()
 
 
 def test_visitors_do_not_disturb_each_other(page, viewer):
