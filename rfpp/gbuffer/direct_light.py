@@ -4,9 +4,10 @@ The term T L_e of the rendering equation's series L = L_e + T L_e + TÂ² L_e + â€
 no more than the G-buffer does: the scene, its lights and a ray caster.
 
 Diffuse: Lambert's exact formula for each emitting triangle, times the share of it that is in sight, which shadow rays
-estimate; so fully visible light carries no noise. Glossy: light samples (the same shadow rays) and lobe samples
-combined by multiple importance sampling, which serves mirrors under small lights and dull surfaces under large ones
-alike, with the lobe itself and no fitted approximation of it.
+estimate; so fully visible light carries no noise. The formula's cost grows with the triangles, so a finely modelled
+lamp is left to its light samples. Glossy: light samples (the same shadow rays) and lobe samples combined by multiple
+importance sampling, which serves mirrors under small lights and dull surfaces under large ones alike, with the lobe
+itself and no fitted approximation of it.
 """
 
 from __future__ import annotations
@@ -23,6 +24,9 @@ from rfpp.gbuffer.light_sampler import LightSampler
 from rfpp.gbuffer.polygon_light import form_factor
 from rfpp.gbuffer.surface import CLEARANCE, Surface, chunks, lattice, local
 from rfpp.scene.triangles import DIFFUSE, SPECULAR
+
+#: Triangles of a light up to which Lambert's formula is used.
+_FORMULA_UP_TO = 16
 
 
 def with_direct_light(
@@ -70,7 +74,8 @@ def gathered(
     shifts = rng.random((len(surface), sampler.lights + 1, 2))
     light = np.zeros((2, len(surface), 3))
     if sampler.lights:
-        for rows in chunks(len(surface), max(samples, len(sampler.corners))):
+        per_point = max(samples, min(_FORMULA_UP_TO, len(sampler.corners)))
+        for rows in chunks(len(surface), per_point):
             light[:, rows] = _gathered(sampler, surface.part(rows), shifts[rows], samples)
     return light
 
@@ -79,7 +84,6 @@ def _gathered(
     sampler: LightSampler, surface: Surface, shifts: Float[np.ndarray, "r lights_plus_1 2"], samples: int
 ) -> Float[np.ndarray, "2 r 3"]:
     """As `gathered`, of points with a displacement each."""
-    unshadowed = form_factor(surface.point, surface.normal, sampler.corners)
     frame = surface.frame()
     view = local(surface.view, frame)
     shines = (surface.specular > 0).any(-1) & (view[:, 2] > 0)
@@ -97,9 +101,14 @@ def _gathered(
         reach = distance[in_sight] - CLEARANCE
         in_sight[in_sight] = ~sampler.caster.occluded(surface.point[rows], way[in_sight], reach)
 
-        mine = sampler.light == light
-        visible = (arriving * in_sight).sum(1) / np.maximum(arriving.sum(1), 1e-30)
-        diffuse += (unshadowed[:, mine] @ sampler.radiance[mine]) * visible[:, None]
+        mine = np.flatnonzero(sampler.light == light)
+        if len(mine) <= _FORMULA_UP_TO:
+            unshadowed = form_factor(surface.point, surface.normal, sampler.corners[mine])
+            visible = (arriving * in_sight).sum(1) / np.maximum(arriving.sum(1), 1e-30)
+            diffuse += (unshadowed @ sampler.radiance[mine]) * visible[:, None]
+        else:
+            weight = incoming[..., 2].clip(0) / density * in_sight / (np.pi * samples)
+            diffuse += np.einsum("rs,rsc->rc", weight, sampler.radiance[emitter])
 
         used = in_sight & shines[:, None]
         rows = np.nonzero(used)[0]
