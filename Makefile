@@ -23,7 +23,7 @@ quickstart: install
 	$(RUN) launch/generate.py $(EXPERIMENT)
 	$(RUN) launch/train.py $(EXPERIMENT)
 	$(RUN) launch/render.py scene=data/scenes/cornell_box.json checkpoint=$(LATEST)/checkpoints/best.ckpt \
-		output=data/renders reference=true
+		against=rfpp-tiny output=data/renders reference=true
 	$(RUN) launch/evaluate.py $(EXPERIMENT) checkpoint=$(LATEST)/checkpoints/best.ckpt
 	@echo
 	@echo "Pictures        data/renders/cornell_box_0_comparison.png, $(LATEST)/evaluation/*.png"
