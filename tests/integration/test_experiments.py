@@ -14,7 +14,11 @@ ALL = {path.stem: path.read_text() for path in sorted((CONFIG_DIR / "experiment"
 #: Those that bring their data, and those that change the network of another.
 DATA_EXPERIMENTS = [name for name, text in ALL.items() if "override /data:" in text]
 VARIANTS = [name for name in ALL if name not in DATA_EXPERIMENTS]
-BEYOND_THE_PAPER = {"RenderFormer++, direct light", "RenderFormer++, direct light and reflections"}
+BEYOND_THE_PAPER = {
+    "RenderFormer++, direct light",
+    "RenderFormer++, direct light and reflections",
+    "RenderFormer++, known light",
+}
 METHODS = {row.method for table in (TABLE_1, TABLE_2) for block in table.blocks for row in block.rows}
 VERBS = ("generate", "train", "evaluate")
 GROUPS = ("scene", "reference", "data", "size", "model", "loss", "optimizer", "schedule", "datamodule", "trainer")
