@@ -1,6 +1,11 @@
 """Settings and fixtures of the whole suite."""
 
+import faulthandler
 import multiprocessing
+import os
+import signal
+import sys
+import threading
 from concurrent.futures import ProcessPoolExecutor
 
 import pytest
@@ -8,6 +13,26 @@ import torch
 from slurm_cluster import SlurmCluster
 
 torch.set_num_threads(1)  # two threads on busy cores stall each other
+
+#: Seconds in which the process has to end after its last test.
+_ENDS_WITHIN = 120
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_sessionfinish(exitstatus):
+    """A thread or a child that is waited for without end is named, and not waited for."""
+
+    def end() -> None:
+        print(f"{_ENDS_WITHIN} s after the last test this process has not ended. It waits here:", file=sys.__stderr__)
+        faulthandler.dump_traceback(sys.__stderr__)
+        os._exit(exitstatus)
+
+    waiting = threading.Timer(_ENDS_WITHIN, end)
+    waiting.daemon = True
+    waiting.start()
+    if hasattr(signal, "alarm"):  # later still, when Python's threads no longer run, the system ends it
+        signal.signal(signal.SIGALRM, signal.SIG_DFL)
+        signal.alarm(2 * _ENDS_WITHIN)
 
 
 @pytest.fixture(scope="session")
