@@ -13,6 +13,9 @@ from rfpp.evaluation.evaluation_file import Evaluation
 from rfpp.evaluation.paper import PAPER_METRICS, PaperTable
 from rfpp.evaluation.records import MODEL
 
+#: Name of the table of what neither of the paper's has a place for.
+OTHERS = "others"
+
 #: Heading of a group of columns → the splits it is a mean over.
 Groups = Mapping[str, tuple[str, ...]]
 
@@ -108,7 +111,7 @@ def other_table(evaluations: Sequence[Evaluation], shown: Sequence[Evaluation]) 
         rows = [Row(method, _runs([e for e in mine if e.method == method], (data,), groups)) for method in methods]
         blocks.append((f"Data set '{data}'", [*rows, *_baseline_rows(mine, (data,), groups)]))
     metrics = list(dict.fromkeys(name for e in others for name in e.definitions))
-    return ResultTable("others", "Evaluations beyond the paper's tables", groups, metrics, blocks)
+    return ResultTable(OTHERS, "Evaluations beyond the paper's tables", groups, metrics, blocks)
 
 
 def _runs(evaluations: Sequence[Evaluation], data: Sequence[str], groups: Groups) -> list[Run]:

@@ -13,15 +13,17 @@ from pathlib import Path
 from rfpp.errors import UserError
 from rfpp.evaluation.evaluation_file import EVALUATION_FILE, read_evaluations
 from rfpp.evaluation.paper import TABLE_1, TABLE_2
-from rfpp.evaluation.rows import ResultTable, other_table, paper_table
+from rfpp.evaluation.rows import OTHERS, ResultTable, other_table, paper_table
 from rfpp.evaluation.table_formats import write_table
+from rfpp.evaluation.table_plot import figure, png
+from rfpp.scene.files import write_atomically
 
 TABLES = Path("data/results/tables")
 
 DESCRIPTION = f"""\
 Finds every {EVALUATION_FILE} beneath the given paths and writes, each as .md, .tex and .csv:
   table1, table2   every row of the paper's, its number beside ours or "not run"
-  others           evaluations that neither of them has a place for, if there are any"""
+  others           evaluations that neither of them has a place for, if there are any; also as a picture, .png"""
 EXAMPLE = "example: python -m rfpp.evaluation.tables data/runs/*/*/evaluation"
 
 
@@ -31,7 +33,11 @@ def write_tables(paths: Sequence[Path], output: Path) -> list[Path]:
     Raises:
         UserError: see `read_evaluations` and `write_table`.
     """
-    return [file for table in result_tables(paths) for file in write_table(table, output)]
+    tables = result_tables(paths)
+    files = [file for table in tables for file in write_table(table, output)]
+    if tables[-1].name == OTHERS and (made := figure(tables[-1])):
+        files.append(write_atomically(output / f"{OTHERS}.png", png(made)))
+    return files
 
 
 def result_tables(paths: Sequence[Path]) -> list[ResultTable]:
