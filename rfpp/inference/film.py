@@ -38,20 +38,21 @@ class Film:
         self.frames, self.folder, self.size = frames, folder, size
         self._predicted = self._traced = None
 
-    def render(self, renderer: Renderer, light_samples: int, show: Show) -> int:
+    def render(self, renderer: Renderer, light_samples: int, supersampling: int, show: Show) -> int:
         """Render what is not there yet; returns how many. A scene that only the camera moves through is encoded once.
 
         Args:
-            light_samples: see `Renderer.render`.
+            light_samples, supersampling: see `Renderer.render`.
 
         Raises:
             UserError: a frame cannot be made or written; those before it are kept.
         """
-        origin = digest(weights_digest(renderer.network), f"{renderer.dtype} {self.size} {light_samples}".encode())
+        chosen = f"{renderer.dtype} {self.size} {light_samples} {supersampling}"
+        origin = digest(weights_digest(renderer.network), chosen.encode())
         self._predicted, made = FrameFolder(self.folder, origin), 0
         for shots in _of_one_scene(self._predicted.missing(self.frames)):
             show(shots[0].number, len(self.frames))
-            images = renderer.views(_together(shots), self.size, light_samples=light_samples)
+            images = renderer.views(_together(shots), self.size, None, light_samples, supersampling)
             for shot, _ in zip(shots, written_beside(images, shots, self._predicted.write), strict=True):
                 made += 1
                 show(shot.number + 1, len(self.frames))

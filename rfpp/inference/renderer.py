@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -99,6 +99,7 @@ class Renderer:
         resolution: int | tuple[int, int] | None = None,
         cameras: Sequence[Camera] | None = None,
         light_samples: int = 16,
+        supersampling: int = 2,
     ) -> Float[np.ndarray, "v h w 3"]:
         """Linear radiance seen by each camera; the scene is encoded once for all of them.
 
@@ -108,12 +109,14 @@ class Renderer:
             cameras: None renders the scene's own.
             light_samples: shadow rays per light and pixel, and rays into reflections, for networks that are given
                 direct light or reflections.
+            supersampling: points along each side of a pixel at which such networks' images are shaded, which smooths
+                outlines; the samples are divided among them.
 
         Raises:
             SceneError: there is no camera.
             UserError: the resolution does not divide into the network's patches.
         """
-        return np.stack(list(self.views(scene, resolution, cameras, light_samples)))
+        return np.stack(list(self.views(scene, resolution, cameras, light_samples, supersampling)))
 
     def views(
         self,
@@ -121,6 +124,7 @@ class Renderer:
         resolution: int | tuple[int, int] | None = None,
         cameras: Sequence[Camera] | None = None,
         light_samples: int = 16,
+        supersampling: int = 2,
         transports: int | None = None,
     ) -> Iterator[Float[np.ndarray, "h w 3"]]:
         """The images of `render`, each as soon as it is finished.
@@ -134,10 +138,17 @@ class Renderer:
             raise SceneError(f"scene '{packed.name}' has no camera: add one to its `cameras`")
         if transports is not None and not self.network.iterations:
             raise UserError(f"transports={transports}: this network has no transport operator: leave it away")
-        return self._views(packed, height, width, light_samples, transports)
+        points = supersampling if self.network.shades_points else 1
+        samples = max(1, round(light_samples / points**2))
+        gbuffers = self._gbuffers.of(packed, points * height, points * width, samples)
+        return self._views(packed, gbuffers, points, transports)
 
     def _views(
-        self, scene: PackedScene, height: int, width: int, light_samples: int, transports: int | None
+        self,
+        scene: PackedScene,
+        gbuffers: Callable[[int], Float[np.ndarray, "c h w"]],
+        points: int,
+        transports: int | None,
     ) -> Iterator[Float[np.ndarray, "h w 3"]]:
         """One view at a time, which bounds the memory; a thread casts the next one's rays meanwhile."""
         no_gbuffer = np.zeros((len(scene.fov), 0, 0, 0), np.float32)
@@ -146,7 +157,6 @@ class Renderer:
             scene.name, scene.triangles, scene.c2w, scene.fov, no_gbuffer, texture=scene.texture, object_light=light
         )
         batch = RaggedBatch.pack([views])
-        gbuffers = self._gbuffers.of(scene, height, width, light_samples)
         with ThreadPoolExecutor(1, "gbuffer") as beside:
             upcoming = beside.submit(gbuffers, 0)
             encoded = self._encode(batch, transports)
@@ -155,7 +165,7 @@ class Renderer:
                 if view + 1 < batch.num_views:
                     upcoming = beside.submit(gbuffers, view + 1)
                 one = slice(view, view + 1)
-                yield self._decode(encoded, batch.c2w[:, one], batch.fov[:, one], gbuffer)
+                yield self._decode(encoded, batch.c2w[:, one], batch.fov[:, one], gbuffer, points)
 
     def _autocast(self) -> torch.autocast:
         return torch.autocast(self.device.type, self.dtype, enabled=self.dtype != torch.float32)
@@ -178,10 +188,11 @@ class Renderer:
         c2w: Float[Tensor, "1 1 4 4"],
         fov: Float[Tensor, "1 1"],
         gbuffer: Float[np.ndarray, "c h w"],
-    ) -> Float[np.ndarray, "h w 3"]:
+        points: int,
+    ) -> Float[np.ndarray, "height width 3"]:
         camera, seen = (c2w.to(self.device), fov.to(self.device)), torch.from_numpy(gbuffer[None, None])
         with self._autocast():
-            log_radiance = self.network.view(encoded, *camera, seen.to(self.device))
+            log_radiance = self.network.view(encoded, *camera, seen.to(self.device), points)
         return log_decode(log_radiance)[0, 0].permute(1, 2, 0).clamp_min(0).cpu().numpy()
 
     def image_size(self, resolution: int | tuple[int, int] | None) -> tuple[int, int]:

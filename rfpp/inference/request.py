@@ -44,6 +44,7 @@ class Request(Strict):
         layers: G-buffer channels for the EXR.
         exposure: stops.
         light_samples: shadow rays per light and pixel, and rays into reflections.
+        supersampling: points along each side of a pixel.
         fps: of films.
         reference, reference_settings: whether Cycles renders too, and by which file of conf/reference.
         device: of torch, or None to choose.
@@ -57,7 +58,8 @@ class Request(Strict):
     up: Literal["y", "z"] | None
     layers: Annotated[tuple[str, ...], BeforeValidator(_listed)]
     exposure: Annotated[float, Field(ge=-64, le=64)]
-    light_samples: Annotated[int, Field(ge=1)]
+    light_samples: Positive
+    supersampling: Positive
     fps: Annotated[float, Field(gt=0, le=1000)]
     reference: bool
     reference_settings: str

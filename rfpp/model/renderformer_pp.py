@@ -116,9 +116,14 @@ class RenderFormerPP(nn.Module):
         c2w: Float[Tensor, "b v 4 4"],
         fov: Float[Tensor, "b v"],
         gbuffer: Float[Tensor, "b v c h w"],
-    ) -> Float[Tensor, "b v 3 h w"]:
-        """The view-dependent stage: log10(1 + radiance) of V views of each scene, float32."""
-        radiance = self.decoder(scenes.tokens, c2w, fov, gbuffer, scenes.exposure)
+        supersampling: int = 1,
+    ) -> Float[Tensor, "b v 3 height width"]:
+        """The view-dependent stage: log10(1 + radiance) of V views of each scene, float32.
+
+        Args:
+            gbuffer, supersampling: see `ViewDecoder.forward`.
+        """
+        radiance = self.decoder(scenes.tokens, c2w, fov, gbuffer, scenes.exposure, supersampling)
         return log_encode(scenes.exposure[:, None, None, None, None] * radiance)
 
     @property
@@ -130,6 +135,11 @@ class RenderFormerPP(nn.Module):
     def gbuffer_channels(self) -> tuple[str, ...]:
         """The G-buffer channels a batch must carry, in order."""
         return self.decoder.gbuffer_channels
+
+    @property
+    def shades_points(self) -> bool:
+        """Whether reflectances of the G-buffer are in the image to the point, so that supersampling has a use."""
+        return bool(self.decoder.shading.channels)
 
     @property
     def patch_size(self) -> int:

@@ -8,6 +8,7 @@ from itertools import cycle
 
 import numpy as np
 import torch
+import torch.nn.functional as F
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
@@ -75,22 +76,29 @@ class ViewDecoder(nn.Module):
         fov: Float[Tensor, "b v"],
         gbuffer: Float[Tensor, "b v c h w"],
         exposure: Float[Tensor, " b"],
-    ) -> Float[Tensor, "b v 3 h w"]:
+        supersampling: int = 1,
+    ) -> Float[Tensor, "b v 3 height width"]:
         """Linear radiance of every view of every scene, in units of its exposure.
 
         Args:
             gbuffer: `gbuffer_channels`; light as it is.
             exposure: radiance that the scene tokens call 1; what the decoder reads of light is divided by it.
+            supersampling: points of the G-buffer along each side of a pixel. Tokens read their means, radiance is
+                shaded point by point: smooth outlines for the price of a finer G-buffer.
         """
-        batch, views, _, height, width = gbuffer.shape
-        channels = self._split_channels(gbuffer.flatten(0, 1), exposure.repeat_interleave(views))
-        rays = self.rays(fov.flatten(), channels(self.rays.gbuffer_channels))  # [B V, patches, D]
+        batch, views, _, *size = gbuffer.shape
+        height, width = (points // supersampling for points in size)
+        gbuffer, unit = gbuffer.flatten(0, 1), exposure.repeat_interleave(views)
+        of_points = self._split_channels(gbuffer, unit)
+        of_pixels = self._split_channels(_means(gbuffer, supersampling), unit)
+        rays = self.rays(fov.flatten(), of_pixels(self.rays.gbuffer_channels))  # [B V, patches, D]
         patches = rays.shape[1]
         grid = (height // self.rays.patch_size, width // self.rays.patch_size)
         in_view = Segments.from_lengths([patches] * (batch * views), rays.device)
         seen = SeenTokens.by(scene, c2w)
 
-        ray_points = self.ray_position(channels(self.ray_position.channels), self.rays.patch_size)
+        side = self.rays.patch_size * supersampling
+        ray_points = self.ray_position(of_points(self.ray_position.channels), side)
         ray_rotation = None if ray_points is None else self.position(ray_points)
         seen_rotation = self.position(seen.points)
         to_scene = AttentionPattern(in_view, seen.segments)
@@ -102,8 +110,9 @@ class ViewDecoder(nn.Module):
             features.append(x)
 
         maps = [f.view(batch * views, *grid, -1).permute(0, 3, 1, 2) for f in features[-LEVELS:]]
-        radiance = self.film(self.shading(self.head(maps, height, width), channels(self.shading.channels)))
-        return radiance.view(batch, views, 3, height, width)
+        predicted = _repeated(self.head(maps, height, width), supersampling)
+        radiance = _means(self.shading(predicted, of_points(self.shading.channels)), supersampling)
+        return self.film(radiance).view(batch, views, 3, height, width)
 
     @property
     def gbuffer_channels(self) -> tuple[str, ...]:
@@ -125,6 +134,16 @@ class ViewDecoder(nn.Module):
         unit = exposure[:, None, None, None]
         named |= {name: log_encode(light / unit) for name, light in named.items() if name in LIGHT_CHANNELS}
         return lambda names: torch.cat([gbuffer[:, :0], *(named[name] for name in names)], dim=1)
+
+
+def _means(points: Float[Tensor, "n c h w"], number: int) -> Float[Tensor, "n c height width"]:
+    """From `number` points along each side of a pixel to pixels."""
+    return points if number == 1 else F.avg_pool2d(points, number)
+
+
+def _repeated(pixels: Float[Tensor, "n c height width"], number: int) -> Float[Tensor, "n c h w"]:
+    """A pixel's value at each of its points."""
+    return pixels if number == 1 else F.interpolate(pixels, scale_factor=number, mode="nearest")
 
 
 class DecoderBlock(nn.Module):

@@ -83,6 +83,13 @@ def test_it_adds_to_the_light_that_it_is_given(renderer, name):
     assert difference(image, reference) < 0.5 * difference(alone, reference)
 
 
+@pytest.mark.parametrize("name", NAMES)
+def test_outlines_are_closer_to_the_reference_where_pixels_have_more_points(renderer, name):
+    reference = stored(f"{name}_0_reference")
+    one, two, three = (difference(renderer.render(view_of(name), 64, supersampling=n)[0], reference) for n in (1, 2, 3))
+    assert three < two < 0.85 * one
+
+
 def test_what_is_installed_holds_no_code():
     folder = shipped("rfpp-tiny")
     assert {path.name for path in folder.iterdir()} == {"README.md", "config.json", "model.safetensors"}
