@@ -114,7 +114,7 @@ class Renderer:
 
         Raises:
             SceneError: there is no camera.
-            UserError: the resolution does not divide into the network's patches.
+            UserError: the resolution does not divide into the network's patches, or there are no samples.
         """
         return np.stack(list(self.views(scene, resolution, cameras, light_samples, supersampling)))
 
@@ -138,6 +138,8 @@ class Renderer:
             raise SceneError(f"scene '{packed.name}' has no camera: add one to its `cameras`")
         if transports is not None and not self.network.iterations:
             raise UserError(f"transports={transports}: this network has no transport operator: leave it away")
+        if min(light_samples, supersampling) < 1:
+            raise UserError(f"light_samples={light_samples}, supersampling={supersampling}: give 1 or more of each")
         points = supersampling if self.network.shades_points else 1
         samples = max(1, round(light_samples / points**2))
         gbuffers = self._gbuffers.of(packed, points * height, points * width, samples)

@@ -44,6 +44,16 @@ def test_any_resolution_that_divides_into_patches(renderer, scene):
         renderer.render(scene, 30)
 
 
+@pytest.mark.parametrize("none", [{"light_samples": 0}, {"supersampling": 0}])
+def test_no_samples_are_refused(renderer, scene, none):
+    with pytest.raises(UserError, match="give 1 or more of each"):
+        renderer.render(scene, **none)
+
+
+def test_networks_that_shade_no_points_know_no_supersampling(renderer, scene):
+    np.testing.assert_array_equal(*(renderer.render(scene, supersampling=number) for number in (1, 3)))
+
+
 def test_views_are_independent_of_each_other(renderer, scene):
     together = renderer.render(scene)
     alone = renderer.render(scene, cameras=scene.cameras[2:])
