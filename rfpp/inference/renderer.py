@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -91,7 +92,8 @@ class Renderer:
         """
         folder, parameters = Path(folder), sum(p.numel() for p in self.network.parameters())
         card = model_card(self.info, parameters, folder.name, metrics or {}, notes)
-        return write_folder(folder, {CHECKPOINT_KEY: self.info.to_dict()}, self.network.state_dict(), card)
+        about = replace(self.info, mlflow_run_id=None, mlflow_tracking_uri=None)  # whose store others do not have
+        return write_folder(folder, {CHECKPOINT_KEY: about.to_dict()}, self.network.state_dict(), card)
 
     def render(
         self,

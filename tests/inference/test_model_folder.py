@@ -31,6 +31,13 @@ def test_a_saved_network_renders_the_same_image(renderer, folder):
     np.testing.assert_array_equal(again.render(scene()), renderer.render(scene()))
 
 
+def test_a_store_that_others_do_not_have_is_not_passed_on(tmp_path):
+    info = checkpoint_info(mlflow_run_id="f00d", mlflow_tracking_uri="sqlite:////home/me/mlflow.db")
+    folder = Renderer(network(), info).save(tmp_path / "toy")
+    assert not any(b"home/me" in path.read_bytes() for path in folder.iterdir())
+    assert Renderer.load(folder).info.mlflow_run_id is None
+
+
 def test_half_precision_is_saved_as_it_is_and_loads(folder):
     half = Renderer.load(folder, "cpu", "bf16")
     small = half.save(folder.parent / "half")
