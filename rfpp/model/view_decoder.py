@@ -89,8 +89,9 @@ class ViewDecoder(nn.Module):
         batch, views, _, *size = gbuffer.shape
         height, width = (points // supersampling for points in size)
         gbuffer, unit = gbuffer.flatten(0, 1), exposure.repeat_interleave(views)
-        of_points = self._split_channels(gbuffer, unit)
-        of_pixels = self._split_channels(_means(gbuffer, supersampling), unit)
+        of_points = of_pixels = self._split_channels(gbuffer, unit)
+        if supersampling > 1:
+            of_pixels = self._split_channels(F.avg_pool2d(gbuffer, supersampling), unit)
         rays = self.rays(fov.flatten(), of_pixels(self.rays.gbuffer_channels))  # [B V, patches, D]
         patches = rays.shape[1]
         grid = (height // self.rays.patch_size, width // self.rays.patch_size)
