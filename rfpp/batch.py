@@ -15,6 +15,19 @@ from torch import Tensor
 from rfpp.scene.triangles import SceneTriangles
 
 
+def on_device(array: np.ndarray, device: torch.device | str) -> Tensor:
+    """A host array as a tensor there, without waiting for what the device has been asked to do.
+
+    From pageable memory a copy to a GPU waits until all work before it is done.
+    """
+    tensor = torch.from_numpy(array)
+    if torch.device(device).type != "cuda":
+        return tensor.to(device)
+    if torch.cuda.is_available():  # only shapes are computed otherwise
+        tensor = tensor.pin_memory()
+    return tensor.to(device, non_blocking=True)
+
+
 @dataclass(frozen=True)
 class Segments:
     """A partition of a packed axis into consecutive runs (CSR offsets).
@@ -32,7 +45,7 @@ class Segments:
     @classmethod
     def from_lengths(cls, lengths: Sequence[int], device: torch.device | str = "cpu") -> Segments:
         offsets = np.concatenate([[0], np.cumsum(lengths, dtype=np.int64)]).astype(np.int32)
-        return cls(torch.from_numpy(offsets).to(device), tuple(int(n) for n in lengths))
+        return cls(on_device(offsets, device), tuple(int(n) for n in lengths))
 
     def __len__(self) -> int:
         return len(self.lengths)
@@ -41,13 +54,27 @@ class Segments:
     def total(self) -> int:
         return sum(self.lengths)
 
+    @property
+    def sizes(self) -> Int[Tensor, " n"]:
+        """[n] int64: the lengths, on the device."""
+        return (self.offsets[1:] - self.offsets[:-1]).long()
+
     @cached_property
     def index(self) -> Int[Tensor, " total"]:
         """[total] int64: the segment each row belongs to."""
-        lengths = (self.offsets[1:] - self.offsets[:-1]).long()
-        return torch.repeat_interleave(
-            torch.arange(len(self), device=self.offsets.device), lengths, output_size=self.total
-        )
+        segments = torch.arange(len(self), device=self.offsets.device)
+        return torch.repeat_interleave(segments, self.sizes, output_size=self.total)
+
+    def grouped(self, groups: Segments) -> Segments:
+        """Consecutive runs put together: `groups` are segments of the runs."""
+        bounds = np.concatenate([[0], np.cumsum(groups.lengths)])
+        lengths = (sum(self.lengths[a:b]) for a, b in pairwise(bounds))
+        return Segments(self.offsets[groups.offsets.long()], tuple(lengths))
+
+    def lengthened(self, by: int) -> Segments:
+        """Every run with so many more rows."""
+        more = by * torch.arange(len(self) + 1, dtype=torch.int32, device=self.offsets.device)
+        return Segments(self.offsets + more, tuple(n + by for n in self.lengths))
 
     def to(self, device: torch.device | str, **kwargs) -> Segments:
         return Segments(self.offsets.to(device, **kwargs), self.lengths)
@@ -96,6 +123,7 @@ class RaggedBatch:
         keys: B sample names.
         texture: [M, 13, P, P] emission linear, or None where every triangle has one material.
         object_light: [O, 3] linear radiance that leaves each object by the first bounce, or None.
+        emitters: [E] the triangles that emit; on the host, so that pairing them with objects waits for no device.
     """
 
     positions: Float[Tensor, "m 3 3"]
@@ -108,6 +136,7 @@ class RaggedBatch:
     gbuffer: Float[Tensor, "b v c h w"]
     image: Float[Tensor, "b v 3 h w"] | None
     keys: tuple[str, ...]
+    emitters: Int[np.ndarray, " e"]
     texture: Float[Tensor, "m 13 p p"] | None = None
     object_light: Float[Tensor, "o 3"] | None = None
 
@@ -141,6 +170,7 @@ class RaggedBatch:
             gbuffer=stacked([s.gbuffer for s in samples]),
             image=stacked([s.image for s in samples]) if with_images else None,
             keys=tuple(s.key for s in samples),
+            emitters=np.flatnonzero(np.concatenate([t.is_emissive for t in triangles])),
             texture=packed(textures) if textures else None,
             object_light=packed(lit) if len(lit) == len(samples) else None,
         )
@@ -181,7 +211,8 @@ class RaggedBatch:
         """Some objects, in this order, as one scene of their own."""
         starts = np.concatenate([[0], np.cumsum(self.objects.lengths)])
         rows = np.concatenate([np.arange(starts[number], starts[number + 1]) for number in objects])
-        rows = torch.from_numpy(rows).to(self.positions.device)
+        emitters = np.flatnonzero(np.isin(rows, self.emitters))
+        rows = on_device(rows, self.positions.device)
         return replace(
             self,
             positions=self.positions[rows],
@@ -189,8 +220,11 @@ class RaggedBatch:
             material=self.material[rows],
             objects=Segments.from_lengths([self.objects.lengths[number] for number in objects], rows.device),
             scenes=Segments.from_lengths([len(objects)], rows.device),
+            emitters=emitters,
             texture=None if self.texture is None else self.texture[rows],
-            object_light=None if self.object_light is None else self.object_light[list(objects)],
+            object_light=None
+            if self.object_light is None
+            else self.object_light[on_device(np.array(objects), rows.device)],
         )
 
     def object_chunks(self, objects: Sequence[int], triangles: int) -> Iterator[list[int]]:

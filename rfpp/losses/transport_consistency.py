@@ -45,5 +45,4 @@ class TransportConsistency(nn.Module):
 
 def _weights(scenes: Segments) -> Float[Tensor, " n"]:
     """[N] summing to 1, each scene's to the same."""
-    lengths = torch.tensor(scenes.lengths, dtype=torch.float32, device=scenes.offsets.device)
-    return (1 / (len(scenes) * lengths))[scenes.index]
+    return (1 / (len(scenes) * scenes.sizes.float()))[scenes.index]

@@ -17,7 +17,7 @@ import torch.nn.functional as F
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from rfpp.batch import Segments
+from rfpp.batch import Segments, on_device
 from rfpp.model.tiled_attention import TiledAttention
 
 #: Segments are padded to multiples of this and taken in powers of two. On a CPU every new shape of a matrix product
@@ -48,6 +48,7 @@ class AttentionPattern:
         if len(queries) != len(keys):
             raise ValueError(f"{len(queries)} query segments for {len(keys)} key segments")
         self.queries, self.keys, self.order = queries, keys, order
+        self.longest_query, self.longest_key = max(queries.lengths), max(keys.lengths)
 
     @cached_property
     def inverse_order(self) -> Int[Tensor, " n"]:
@@ -84,7 +85,7 @@ class AttentionPattern:
         """Per bucket [b, 1, 1, longest key] bool, True = real; None where nothing is padded."""
         device = self.keys.offsets.device
         rows = [b.key_rows >= 0 for b in self.buckets]
-        return [None if real.all() else torch.from_numpy(real).to(device)[:, None, None, :] for real in rows]
+        return [None if real.all() else on_device(real, device)[:, None, None, :] for real in rows]
 
 
 class Bucket(NamedTuple):
@@ -131,8 +132,8 @@ class PaddedLayout:
         inverse[flat[real]] = np.flatnonzero(real)
         self.trivial = bool(len(flat) == segments.total and (flat == np.arange(len(flat))).all())
         device = segments.offsets.device
-        self.padded_from_packed = torch.from_numpy(np.where(real, flat, 0)).to(device)
-        self.packed_from_padded = torch.from_numpy(inverse).to(device)
+        self.padded_from_packed = on_device(np.where(real, flat, 0), device)
+        self.packed_from_padded = on_device(inverse, device)
 
     def pad(self, x: Tensor) -> list[Tensor]:
         """[N, H, D] → per bucket [b, H, L, D]."""
@@ -173,12 +174,11 @@ class _Regather(torch.autograd.Function):
         return out.index_copy_(0, ctx.index, grad.contiguous()), None, None
 
 
-@torch.compiler.disable  # a plan of NumPy's, and kernels that are fused already
 def attend(
     q: Float[Tensor, "nq h d"], k: Float[Tensor, "nk h d"], v: Float[Tensor, "nk h d"], pattern: AttentionPattern
 ) -> Float[Tensor, "nq h d"]:
     """softmax(q kᵀ / √d) v within each segment, by the fastest backend for the device and precision."""
-    backend = attend_varlen if q.is_cuda and q.dtype in (torch.float16, torch.bfloat16) else attend_bucketed
+    backend = attend_varlen if has_varlen_kernel(q) else attend_bucketed
     if pattern.order is None:
         return backend(q, k, v, pattern)
     there, back = pattern.order, pattern.inverse_order
@@ -186,6 +186,12 @@ def attend(
     return _Regather.apply(out, back, there)
 
 
+def has_varlen_kernel(q: Float[Tensor, "n h d"]) -> bool:
+    """Whether FlashAttention has a kernel for these heads where they are."""
+    return q.is_cuda and q.dtype in (torch.float16, torch.bfloat16) and q.shape[-1] % 8 == 0 and q.shape[-1] <= 256
+
+
+@torch.compiler.disable  # a plan of NumPy's, and kernels that are fused already
 def attend_bucketed(q: Tensor, k: Tensor, v: Tensor, pattern: AttentionPattern) -> Tensor:
     """Dense attention per bucket of similar key lengths."""
     qs, ks, vs = pattern.query_layout.pad(q), pattern.key_layout.pad(k), pattern.key_layout.pad(v)
@@ -216,8 +222,8 @@ def attend_varlen(q: Tensor, k: Tensor, v: Tensor, pattern: AttentionPattern) ->
     """FlashAttention's variable-length kernel on the packed rows (CUDA, half precision)."""
     from torch.nn.attention.varlen import varlen_attn
 
-    longest_query, longest_key = max(pattern.queries.lengths), max(pattern.keys.lengths)
-    return varlen_attn(q, k, v, pattern.queries.offsets, pattern.keys.offsets, longest_query, longest_key)
+    offsets = pattern.queries.offsets, pattern.keys.offsets
+    return varlen_attn(q, k, v, *offsets, pattern.longest_query, pattern.longest_key)
 
 
 def attend_loop(q: Tensor, k: Tensor, v: Tensor, pattern: AttentionPattern) -> Tensor:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
-from rfpp.batch import RaggedBatch
+from rfpp.batch import RaggedBatch, on_device
 from rfpp.model.tokenizer import mean_by_object, object_areas
 
 
@@ -37,21 +38,27 @@ class ArrivingLight:
         lit = (mean_by_object(emission[:, None], batch)[:, 0] == 0) * area  # [O] area, zero for emitters
         centroid = mean_by_object(batch.positions.mean(1), batch)
 
-        # pairs of an emitting triangle and an object of its scene
-        emitters = torch.nonzero(emission)[:, 0]
-        scene = batch.scenes.index[batch.objects.index[emitters]]
-        first, count = batch.scenes.offsets[scene].long(), batch.scenes.offsets[scene + 1] - batch.scenes.offsets[scene]
-        pair = torch.repeat_interleave(torch.arange(len(emitters), device=emitters.device), count)
-        target = torch.arange(len(pair), device=pair.device) - (count.cumsum(0) - count)[pair] + first[pair]
-
-        corners = batch.positions[emitters]
+        emitter, target = (on_device(rows, area.device) for rows in emitters_and_objects(batch))
+        corners = batch.positions[emitter]
         vector_area = 0.5 * torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        way = centroid[target] - corners.mean(1)[pair]
+        way = centroid[target] - corners.mean(1)
         radius2 = area[target] / torch.pi
-        height2 = (vector_area[pair] * way).sum(-1).square() + batch.areas[emitters][pair].square() * radius2 / 6
-        arriving = emission[emitters][pair] * height2.sqrt() / (way.square().sum(-1) + radius2) ** 1.5
+        height2 = (vector_area * way).sum(-1).square() + batch.areas[emitter].square() * radius2 / 6
+        arriving = emission[emitter] * height2.sqrt() / (way.square().sum(-1) + radius2) ** 1.5
 
-        total = arriving.new_zeros(len(batch.scenes)).index_add(0, scene[pair], arriving * lit[target])
+        scene = batch.scenes.index[target]
+        total = arriving.new_zeros(len(batch.scenes)).index_add(0, scene, arriving * lit[target])
         surface = total.new_zeros(len(batch.scenes)).index_add(0, batch.scenes.index, lit)
         exposure = total / surface
         return torch.where((total > 0) & (surface > 0), exposure, 1.0)
+
+
+def emitters_and_objects(batch: RaggedBatch) -> tuple[Int[np.ndarray, " pairs"], Int[np.ndarray, " pairs"]]:
+    """Every pair of an emitting triangle and an object of its scene, as rows of triangles and of objects."""
+    last_triangles, last_objects = np.cumsum(batch.objects.lengths), np.cumsum(batch.scenes.lengths)
+    owner = np.searchsorted(last_triangles, batch.emitters, side="right")
+    scene = np.searchsorted(last_objects, owner, side="right")
+    count = np.array(batch.scenes.lengths)[scene]
+    emitter = np.repeat(batch.emitters, count)
+    nth = np.arange(len(emitter)) - np.repeat(np.cumsum(count) - count, count)
+    return emitter, np.repeat(last_objects[scene] - count, count) + nth

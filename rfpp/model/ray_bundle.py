@@ -9,6 +9,7 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from rfpp.batch import on_device
 from rfpp.gbuffer.first_hit import CHANNELS
 from rfpp.model.block import RMSNorm
 from rfpp.scene.camera import pixel_plane
@@ -16,7 +17,7 @@ from rfpp.scene.camera import pixel_plane
 
 def ray_directions(fov: Float[Tensor, " n"], height: int, width: int) -> Float[Tensor, "n 3 h w"]:
     """[N, 3, H, W] unit directions through the pixel centres, in camera space (see rfpp.scene.camera)."""
-    plane = torch.from_numpy(pixel_plane(height, width)).to(fov.device).permute(2, 0, 1)
+    plane = on_device(pixel_plane(height, width), fov.device).permute(2, 0, 1)
     xy = plane * torch.tan(torch.deg2rad(fov) / 2)[:, None, None, None]
     return F.normalize(torch.cat([xy, -torch.ones_like(xy[:, :1])], dim=1), dim=1)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from rfpp.batch import Segments
+from rfpp.batch import Segments, on_device
 from rfpp.model.attention import AttentionPattern
 
 
@@ -37,7 +37,7 @@ class ShiftedWindows:
         down, along = (_windows(n, self.size, shift) for n in (rows, columns))
         window = (down[:, None] * (along[-1] + 1) + along).ravel()
         window = (np.arange(views)[:, None] * (window.max() + 1) + window).ravel()
-        order = torch.from_numpy(np.argsort(window, kind="stable")).to(device)
+        order = on_device(np.argsort(window, kind="stable"), device)
         return AttentionPattern(Segments.from_lengths(np.bincount(window).tolist(), device), order=order)
 
 

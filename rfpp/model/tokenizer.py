@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 
-import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
@@ -64,10 +62,9 @@ class TriangleTokens(nn.Module):
 
     def forward(self, triangles: Float[Tensor, "m width"], batch: RaggedBatch) -> SceneTokens:
         device, scenes, registers = triangles.device, len(batch.scenes), len(self.registers)
-        counts = [sum(batch.objects.lengths[a:b]) for a, b in pairwise(np.cumsum([0, *batch.scenes.lengths]))]
-        per_scene = Segments.from_lengths(counts, device)
+        per_scene = batch.objects.grouped(batch.scenes)
         centre = batch.positions.new_zeros(scenes, 3).index_add(0, per_scene.index, batch.positions.mean(1))
-        centre = centre / torch.tensor(counts, device=device)[:, None]
+        centre = centre / per_scene.sizes[:, None]
 
         # all registers, then all triangles, are sorted into registers and triangles of the first scene, of the second …
         owner = torch.cat([torch.arange(scenes, device=device).repeat_interleave(registers), per_scene.index])
@@ -78,7 +75,7 @@ class TriangleTokens(nn.Module):
             features=torch.cat([self.registers.to(triangles.dtype).repeat(scenes, 1), triangles])[order],
             points=points[order],
             log_light=torch.cat([nothing, batch.log_emission])[order],
-            segments=Segments.from_lengths([registers + n for n in counts], device),
+            segments=per_scene.lengthened(registers),
         )
 
 

@@ -12,7 +12,7 @@ import torch.nn.functional as F
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
-from rfpp.batch import Segments
+from rfpp.batch import Segments, on_device
 from rfpp.gbuffer.first_hit import CHANNELS, LIGHT_CHANNELS
 from rfpp.model.attention import AttentionPattern
 from rfpp.model.block import CrossAttention, RMSNorm, SelfAttention, SwiGLU
@@ -196,7 +196,7 @@ class SeenTokens:
         rows = np.concatenate(
             [np.tile(np.arange(n) + start, views) for start, n in zip(starts, scene.segments.lengths, strict=False)]
         )
-        rows = torch.from_numpy(rows).to(c2w.device)
+        rows = on_device(rows, c2w.device)
         segments = Segments.from_lengths([n for n in scene.segments.lengths for _ in range(views)], c2w.device)
         camera = c2w.flatten(0, 1)[segments.index]
         points = to_camera(scene.points[rows].unflatten(-1, (3, 3)), camera)
