@@ -1,0 +1,155 @@
+"""Every network on a GPU that is not there: nothing stays on the host, nothing waits for the device, dtypes are right."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from fake_gpu import GPU, fake_gpu, network_on
+from random_scenes import random_views
+
+from rfpp.batch import RaggedBatch, on_device
+from rfpp.gbuffer.first_hit import CHANNELS
+from rfpp.losses.rendering import RenderingLoss
+from rfpp.losses.transport_consistency import TransportConsistency
+from rfpp.model import attention
+from rfpp.model.exposure import ArrivingLight
+from rfpp.model.renderformer_pp import RenderFormerPP
+from rfpp.model.view_decoder import SeenTokens
+
+#: FlashAttention wants heads of a multiple of eight.
+HEADS = ("size.width=64", "size.heads=1")
+PAPER = ("+experiment=large_scale", "size=tiny", *HEADS)
+VARIANTS = {
+    "paper": PAPER,
+    "quickstart": ("+experiment=quickstart", *HEADS),
+    "windows": (*PAPER, "+model.decoder.windows={_target_: rfpp.model.ray_windows.ShiftedWindows, size: 2}"),
+    **{
+        name: (f"+experiment=[large_scale,{name}]", "size=tiny", *HEADS)
+        for name in ("without_pitg", "without_tcl", "without_ggd", "one_iteration", "renderformer", "renderformer_pitg",
+                     "renderformer_hoct", "renderformer_finetuned", "known_light", "direct_light")
+    },
+}  # fmt: skip
+
+
+def batch_for(net: RenderFormerPP, resolution: int = 16) -> RaggedBatch:
+    rng, channels = np.random.default_rng(0), sum(CHANNELS[name] for name in net.gbuffer_channels)
+    samples = [
+        random_views(rng, sizes, resolution=resolution, channels=channels) for sizes in ((14, 6, 1), (3, 9, 2, 1))
+    ]
+    return RaggedBatch.pack(samples)
+
+
+def loss() -> RenderingLoss:
+    return RenderingLoss(
+        l1_weight=1.0, lpips_weight=0.0, consistency_weight=0.1, lpips_images_per_step=None, lpips_trunk_path=None,
+        consistency_stop_gradient=False,
+    )  # fmt: skip
+
+
+@pytest.fixture(params=VARIANTS.values(), ids=VARIANTS.keys())
+def variant(request) -> tuple[str, ...]:
+    return request.param
+
+
+def test_a_training_step_s_forward_pass_never_waits_for_the_device(variant):
+    with fake_gpu() as copies:
+        net = network_on(GPU, *variant).train()
+        batch = batch_for(net).to(GPU, non_blocking=True)
+        copies.waited_for.clear()
+        made = net(batch)
+        terms = loss()(made.log_radiance, made.transport_states, batch.image, made.token_segments)
+        assert made.log_radiance.device == terms["loss"].device == GPU
+        assert made.log_radiance.dtype == terms["loss"].dtype == torch.float32
+        assert copies.waited_for == []
+
+
+def test_rendering_never_waits_for_the_device_before_the_image_is_there(variant):
+    with fake_gpu() as copies:
+        net = network_on(GPU, *variant).eval()
+        points = 2 if net.shades_points else 1
+        batch = batch_for(net, resolution=16 * points).to(GPU, non_blocking=True)
+        copies.waited_for.clear()
+        image = net.view(net.encode(batch), batch.c2w, batch.fov, batch.gbuffer, points)
+        assert image.device == GPU and image.shape == (2, 2, 3, 16, 16)
+        assert copies.waited_for == []
+
+
+def test_attention_in_half_precision_goes_to_the_variable_length_kernel(variant, monkeypatch):
+    taken = set()
+    kernel = attention.attend_varlen
+    monkeypatch.setattr(attention, "attend_varlen", lambda *a: taken.add(a[0].dtype) or kernel(*a))
+    monkeypatch.setattr(attention, "attend_bucketed", None)
+    with fake_gpu():
+        net = network_on(GPU, *variant).eval()
+        net(batch_for(net).to(GPU))
+    assert taken == {torch.bfloat16}
+
+
+def test_float32_runs_on_the_gpu_too(variant):
+    with fake_gpu(autocast=False):
+        net = network_on(GPU, *variant).eval()
+        assert net(batch_for(net).to(GPU)).log_radiance.device == GPU
+
+
+def test_gradients_have_a_place_for_every_parameter(variant):
+    """On "meta", as gradients on a GPU that is not there would end the process."""
+    net = network_on("meta", *variant).train()
+    batch = batch_for(net).to("meta")
+    made = net(batch)
+    residuals = TransportConsistency()(made.transport_states, made.token_segments)
+    (made.log_radiance.mean() + residuals.sum().to("meta")).backward()
+    assert all(p.grad is not None and p.grad.is_meta and p.grad.shape == p.shape for p in net.parameters())
+
+
+def _asks_for_a_value(batch: RaggedBatch) -> float:
+    return batch.positions.sum().item()
+
+
+def _leaves_numbers_on_the_host(batch: RaggedBatch) -> torch.Tensor:
+    return batch.positions + torch.ones(len(batch.positions), 1, 1)
+
+
+def _looks_for_nonzero_values(batch: RaggedBatch) -> torch.Tensor:
+    return torch.nonzero(batch.material[:, 7])
+
+
+def _counts_on_the_device(batch: RaggedBatch) -> torch.Tensor:
+    return torch.repeat_interleave(torch.arange(2, device=GPU), batch.scenes.sizes)
+
+
+@pytest.mark.parametrize(
+    "fault", [_asks_for_a_value, _leaves_numbers_on_the_host, _looks_for_nonzero_values, _counts_on_the_device]
+)
+def test_what_needs_a_value_or_mixes_devices_fails(fault, monkeypatch):
+    with fake_gpu():
+        net = network_on(GPU, *VARIANTS["quickstart"])
+        batch = batch_for(net).to(GPU)
+        monkeypatch.setattr(ArrivingLight, "__call__", lambda _, b: fault(b))
+        with pytest.raises(Exception, match=r"(?i)local_scalar_dense|nonzero|repeat_interleave|device"):
+            net(batch)
+
+
+@pytest.mark.parametrize("fault", ["list", "numpy", "back"])
+def test_copies_that_are_waited_for_are_seen(fault):
+    with fake_gpu() as copies:
+        on_device(np.arange(3), GPU)
+        assert copies.waited_for == []
+        if fault == "list":
+            torch.tensor([1, 2, 3]).to(GPU)
+        elif fault == "numpy":
+            torch.from_numpy(np.arange(3)).to(GPU)
+        else:
+            torch.ones(3, device=GPU).cpu()
+        assert len(copies.waited_for) == 1
+
+
+def test_tokens_that_cameras_see_are_listed_scene_by_scene_and_view_by_view():
+    net = network_on("cpu", *PAPER)
+    batch = batch_for(net)
+    _, tokens = net.tokenize(batch)
+    seen = SeenTokens.by(tokens, batch.c2w)
+    first = tokens.segments.lengths[0]
+    assert seen.rows.tolist() == [*range(first)] * 2 + [*range(first, tokens.segments.total)] * 2
+    moved = replace(batch, emitters=batch.emitters[:1])
+    assert not torch.equal(ArrivingLight()(moved), ArrivingLight()(batch)), "every emitter counts"

@@ -1,0 +1,90 @@
+"""A GPU without the device: shapes, dtypes and devices of what a network does on one, and where it would wait for it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import torch
+import torch.nn.functional as F
+from hydra.utils import instantiate
+from networks import model_config
+from torch._subclasses.fake_tensor import FakeTensorMode
+from torch.overrides import TorchFunctionMode
+from torch.utils._python_dispatch import TorchDispatchMode
+
+from rfpp.model.renderformer_pp import RenderFormerPP
+
+GPU = torch.device("cuda:0")
+#: What autocast computes in bfloat16, of what networks here use.
+_MATRIX_PRODUCTS = (F.linear, F.conv2d, F.conv_transpose2d, torch.conv2d, torch.conv_transpose2d)
+
+
+@contextmanager
+def fake_gpu(autocast: bool = True) -> Iterator[Copies]:
+    """Tensors on the GPU have no values here: asking for one, or mixing devices, is an error."""
+    copies = Copies()
+    with FakeTensorMode(), copies, _WithoutDriver(autocast), torch.no_grad():
+        yield copies
+
+
+class Copies(TorchDispatchMode):
+    """Remembers copies between host and GPU that a program waits for."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.waited_for: list[str] = []
+
+    def __torch_dispatch__(self, func, types, args=(), kwargs=None):
+        kwargs = kwargs or {}
+        out = func(*args, **kwargs)
+        if func is torch.ops.aten._to_copy.default and args[0].device != out.device:
+            from_host = out.is_cuda and kwargs.get("non_blocking")
+            if not from_host:
+                self.waited_for.append(f"{args[0].device} → {out.device} {list(out.shape)}")
+        return out
+
+
+class _WithoutDriver(TorchFunctionMode):
+    """What PyTorch does only where there is a driver: autocast, and indexing from Python."""
+
+    def __init__(self, autocast: bool) -> None:
+        super().__init__()
+        self.autocast = autocast
+
+    def __torch_function__(self, func, types, args=(), kwargs=None):
+        if func is torch.Tensor.__getitem__ and args[0].is_cuda:
+            return _indexed(*args)
+        if self.autocast and func in _MATRIX_PRODUCTS:
+            args = [a.bfloat16() if isinstance(a, torch.Tensor) and a.is_cuda else a for a in args]
+        return func(*args, **(kwargs or {}))
+
+
+def _indexed(x: torch.Tensor, index: object) -> torch.Tensor:
+    """x[index], by the operators that this is made of."""
+    index = index if isinstance(index, tuple) else (index,)
+    dim, gathered = 0, {}
+    for number, i in enumerate(index):
+        if i is None:
+            x, dim = x.unsqueeze(dim), dim + 1
+        elif i is Ellipsis:
+            dim = x.ndim - sum(later is not None for later in index[number + 1 :])
+        elif isinstance(i, int):
+            x = x.select(dim, i)
+        elif isinstance(i, slice):
+            x, dim = torch.ops.aten.slice.Tensor(x, dim, i.start, i.stop, i.step or 1), dim + 1
+        else:
+            gathered[dim], dim = i, dim + 1
+    return torch.ops.aten.index.Tensor(x, [gathered.get(d) for d in range(dim)]) if gathered else x
+
+
+def network_on(device: torch.device | str, *overrides: str) -> RenderFormerPP:
+    """An untrained network of the project's configuration; for a fake GPU inside `fake_gpu`, or on "meta"."""
+    if device != GPU:
+        with torch.device(device):
+            return instantiate(model_config(*overrides), _convert_="all").to(device)
+    net = instantiate(model_config(*overrides), _convert_="all")
+    for part in net.modules():  # plain tensors: a gradient there would end the process
+        for tensors in (part._parameters, part._buffers):
+            tensors.update({name: tensor.detach().to(device) for name, tensor in tensors.items() if tensor is not None})
+    return net
