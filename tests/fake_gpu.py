@@ -1,4 +1,4 @@
-"""A GPU without the device: shapes, dtypes and devices of what a network does on one, and where it would wait for it."""
+"""A GPU without the device: shapes, dtypes and devices of what a network does there, and where it would wait."""
 
 from __future__ import annotations
 

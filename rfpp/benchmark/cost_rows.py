@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Set
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -18,18 +18,18 @@ Row = dict[str, str | int | float | None]
 
 #: Columns that say how a row was measured: rows that agree in them and in the case answer the same question.
 CONDITIONS = ("device", "precision", "compiled", "threads", "torch")
-_NEEDED = {"sweep", "triangles", "quantity", "network", "status", "seconds", "peak_GB", *CONDITIONS}
+COLUMNS = {"sweep", "triangles", "quantity", "network", "status", "seconds", "peak_GB", *CONDITIONS}
 
 
-def read_rows(path: Path) -> list[Row]:
-    """A table that was written before. Raises UserError naming the file."""
+def read_rows(path: Path, needed: Set[str] = COLUMNS, benchmark: str = "cost") -> list[Row]:
+    """A table that a benchmark wrote before. Raises UserError naming the file: it has not the `needed` columns."""
     try:
         with path.open(newline="") as file:
             rows = list(csv.DictReader(file))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise UserError(f"{path}: cannot be read ({error}): correct the path") from None
-    if not rows or _NEEDED - rows[0].keys():
-        raise UserError(f"{path}: not a table of costs: make it with launch/benchmark.py benchmark=cost output=…")
+    if not rows or needed - rows[0].keys():
+        raise UserError(f"{path}: not its table: make it with launch/benchmark.py benchmark={benchmark} output=…")
     return rows
 
 

@@ -16,6 +16,19 @@ UNKNOWN_TO_COUNTER = {
 }
 #: Side of the matrices that a device is measured with: large enough to keep it busy, small enough to be soon done.
 MATRIX_SIZE = {"cpu": 1024, "cuda": 8192}
+#: Operations per second in dense products of matrices in bfloat16, summed in float32, from NVIDIA's data sheets.
+#: A name that begins with another stands before it.
+PUBLISHED_PEAKS = {
+    "NVIDIA H100 PCIe": 756e12,
+    "NVIDIA H100 NVL": 835e12,
+    "NVIDIA H100": 989e12,
+    "NVIDIA H200": 989e12,
+    "NVIDIA B200": 2250e12,
+    "NVIDIA A100": 312e12,
+    "NVIDIA L40S": 362e12,
+    "NVIDIA GeForce RTX 4090": 165e12,
+    "NVIDIA GeForce RTX 3090": 71e12,
+}
 #: Seconds that measuring takes.
 MEASURED_FOR = 0.5
 #: The best of so many counts: whatever else the machine does only slows.
@@ -36,11 +49,19 @@ def training_flops(network: nn.Module, batch: RaggedBatch) -> float:
     return 3.0 * counter.get_total_flops()
 
 
+def published_peak(device: torch.device, dtype: torch.dtype) -> float | None:
+    """What the maker says of this card in products of matrices; None where the card or the dtype is not listed."""
+    if device.type != "cuda" or dtype != torch.bfloat16:
+        return None
+    name = torch.cuda.get_device_name(device)
+    return next((peak for card, peak in PUBLISHED_PEAKS.items() if name.startswith(card)), None)
+
+
 @torch.no_grad()
 def matrix_product_rate(device: torch.device, dtype: torch.dtype) -> float:
     """Operations per second of this device, now, in products of large matrices."""
     size = MATRIX_SIZE.get(device.type, MATRIX_SIZE["cpu"])
-    a = torch.ones(size, size, device=device, dtype=dtype)
+    a = torch.randn(size, size, device=device, dtype=dtype)  # constants take less power, and a GPU then runs faster
 
     def seconds(products: int) -> float:
         begin = time.perf_counter()

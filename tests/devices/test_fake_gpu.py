@@ -1,4 +1,4 @@
-"""Every network on a GPU that is not there: nothing stays on the host, nothing waits for the device, dtypes are right."""
+"""Every network on a GPU that is not there: nothing stays on the host, nothing is waited for, dtypes are right."""
 
 from dataclasses import replace
 
@@ -6,45 +6,13 @@ import numpy as np
 import pytest
 import torch
 from fake_gpu import GPU, fake_gpu, network_on
-from random_scenes import random_views
+from network_variants import PAPER, VARIANTS, batch_for, loss
 
 from rfpp.batch import RaggedBatch, on_device
-from rfpp.gbuffer.first_hit import CHANNELS
-from rfpp.losses.rendering import RenderingLoss
 from rfpp.losses.transport_consistency import TransportConsistency
 from rfpp.model import attention
 from rfpp.model.exposure import ArrivingLight
-from rfpp.model.renderformer_pp import RenderFormerPP
 from rfpp.model.view_decoder import SeenTokens
-
-#: FlashAttention wants heads of a multiple of eight.
-HEADS = ("size.width=64", "size.heads=1")
-PAPER = ("+experiment=large_scale", "size=tiny", *HEADS)
-VARIANTS = {
-    "paper": PAPER,
-    "quickstart": ("+experiment=quickstart", *HEADS),
-    "windows": (*PAPER, "+model.decoder.windows={_target_: rfpp.model.ray_windows.ShiftedWindows, size: 2}"),
-    **{
-        name: (f"+experiment=[large_scale,{name}]", "size=tiny", *HEADS)
-        for name in ("without_pitg", "without_tcl", "without_ggd", "one_iteration", "renderformer", "renderformer_pitg",
-                     "renderformer_hoct", "renderformer_finetuned", "known_light", "direct_light")
-    },
-}  # fmt: skip
-
-
-def batch_for(net: RenderFormerPP, resolution: int = 16) -> RaggedBatch:
-    rng, channels = np.random.default_rng(0), sum(CHANNELS[name] for name in net.gbuffer_channels)
-    samples = [
-        random_views(rng, sizes, resolution=resolution, channels=channels) for sizes in ((14, 6, 1), (3, 9, 2, 1))
-    ]
-    return RaggedBatch.pack(samples)
-
-
-def loss() -> RenderingLoss:
-    return RenderingLoss(
-        l1_weight=1.0, lpips_weight=0.0, consistency_weight=0.1, lpips_images_per_step=None, lpips_trunk_path=None,
-        consistency_stop_gradient=False,
-    )  # fmt: skip
 
 
 @pytest.fixture(params=VARIANTS.values(), ids=VARIANTS.keys())

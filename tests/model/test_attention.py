@@ -6,10 +6,9 @@ import torch
 from attention_inputs import random_qkv, values_and_gradients
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from marks import requires_gpu
 
 from rfpp.batch import Segments
-from rfpp.model.attention import AttentionPattern, attend, attend_bucketed, attend_loop, attend_varlen
+from rfpp.model.attention import AttentionPattern, attend, attend_bucketed, attend_loop
 
 
 @settings(max_examples=60, deadline=None)
@@ -64,16 +63,3 @@ def test_shapes_recur_between_batches():
 def test_a_pattern_needs_as_many_key_as_query_segments():
     with pytest.raises(ValueError, match="2 query segments for 1 key segments"):
         AttentionPattern(Segments.from_lengths([1, 2]), Segments.from_lengths([3]))
-
-
-@requires_gpu
-def test_varlen_kernel_equals_loop():
-    queries, keys = Segments.from_lengths([8, 8, 8], "cuda"), Segments.from_lengths([300, 1, 77], "cuda")
-    qkv = [t.cuda().bfloat16() for t in random_qkv(queries, keys, dim=64)]
-    pattern = AttentionPattern(queries, keys)
-    for fast, slow in zip(
-        values_and_gradients(attend_varlen, *qkv, pattern),
-        values_and_gradients(attend_loop, *[t.float() for t in qkv], pattern),
-        strict=True,
-    ):
-        torch.testing.assert_close(fast.float(), slow, rtol=3e-2, atol=3e-2)

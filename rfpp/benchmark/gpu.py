@@ -1,0 +1,234 @@
+"""What a GPU does with the networks: a table made in parts, each row written as soon as it is there."""
+
+from __future__ import annotations
+
+import gc
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import asdict, dataclass, fields, replace
+from itertools import product
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+import torch
+
+from rfpp.benchmark.cost_case import Case
+from rfpp.benchmark.cost_process import GB
+from rfpp.benchmark.cost_rows import Row, read_rows
+from rfpp.benchmark.cost_tasks import Setting, Task, Untrained
+from rfpp.benchmark.cost_turns import OK
+from rfpp.errors import UserError
+from rfpp.model.renderformer_pp import RenderFormerPP
+from rfpp.training.flops import matrix_product_rate, published_peak
+
+#: What a table must have to be gone on with.
+_NEEDED = {"task", "network", "size", "compiled", "triangles", "quantity", "status", "seconds", "device_name", "torch"}
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """One thing to measure.
+
+    Attributes:
+        task: its name in `measure`'s `tasks`.
+        network: its name in `measure`'s `networks`.
+        size: of the network, by its name in conf/size.
+        compiled: the transformer blocks.
+        triangles, objects, views, resolution, scenes: see Case.
+    """
+
+    task: str
+    network: str
+    size: str
+    compiled: bool
+    triangles: int
+    objects: int
+    views: int
+    resolution: int
+    scenes: int
+
+    @property
+    def case(self) -> Case:
+        return Case(self.triangles, self.objects, self.views, self.resolution, self.scenes)
+
+
+def measurements(groups: Sequence[Mapping[str, Any]], case: Mapping[str, Any]) -> list[Measurement]:
+    """Every combination of each group's values, group by group; what a group does not name is as in `case`."""
+    known = {field.name for field in fields(Measurement)}
+    made = []
+    for group in groups:
+        if unknown := group.keys() - known:
+            raise UserError(f"benchmark.groups names {', '.join(unknown)}: choose from {', '.join(sorted(known))}")
+        lists = [value if isinstance(value, list) else [value] for value in group.values()]
+        made += [Measurement(**{**case, **dict(zip(group, values, strict=True))}) for values in product(*lists)]
+    return list(dict.fromkeys(made))
+
+
+@dataclass(frozen=True)
+class Repeats:
+    """How often each is measured.
+
+    Attributes:
+        warm_up: runs that choose and load kernels, or compile; not counted.
+        least, most: runs that are counted.
+        seconds: after so long no further one than `least`.
+    """
+
+    warm_up: int
+    least: int
+    most: int
+    seconds: float | int
+
+
+def measure(
+    compose: Callable[[list[str]], Mapping[str, Any]],
+    networks: Mapping[str, Mapping[str, Any]],
+    tasks: Mapping[str, Task],
+    case: Mapping[str, Any],
+    groups: Sequence[Mapping[str, Any]],
+    setting: Setting,
+    repeats: Repeats,
+    minutes: float | int,
+    finished: str | None,
+    progress: Callable[[int, int], None],
+) -> Iterator[Row]:
+    """A row per measurement and quantity of its task, as soon as it is measured.
+
+    `seconds` is the median; `of_peak` (MFU) is the rate of the operations that the network needs, as a share of what
+    the card's maker says it does in products of matrices in this precision; `of_matrix_rate` of what it did in them,
+    just now. `peak_GB` is what weights, gradients, moments, batch and activations take at most, as CUDA's allocator
+    counts. What does not fit has a row whose status says so.
+
+    Args:
+        compose: overrides → training's configuration, of which `model` is taken.
+        networks: name → `overrides` that choose it.
+        tasks: by name.
+        case: values that groups do not name.
+        groups: what is measured, in order; see `measurements`.
+        setting: where and in which precision; `compile` is each measurement's own.
+        repeats: how often.
+        minutes: after so many nothing further is begun; the same command then goes on.
+        finished: rows of an earlier part, if the file exists: they come first and are not measured again.
+        progress: called with (measurements done, in all).
+
+    Raises:
+        UserError: a group names what is not there, or `finished` is no such table.
+    """
+    begin = time.monotonic()
+    wanted = measurements(groups, case)
+    for name, there in (("task", tasks), ("network", networks)):
+        if absent := {getattr(m, name) for m in wanted} - there.keys():
+            raise UserError(f"benchmark.groups names {name} {', '.join(absent)}: there are {', '.join(there)}")
+    known = read_rows(Path(finished), _NEEDED, "gpu") if finished and Path(finished).exists() else []
+    yield from known
+    setting.apply()
+    device = torch.device(setting.where)
+    here = {"device_name": _name(device), "torch": torch.__version__, "precision": setting.precision}
+    missing = [m for m in wanted if not _measured(m, here, known)]
+    if not missing:
+        return
+    rate, peak = matrix_product_rate(device, setting.dtype), published_peak(device, setting.dtype)
+    for done, m in enumerate(missing):
+        progress(len(wanted) - len(missing) + done, len(wanted))
+        if time.monotonic() - begin > 60 * minutes:
+            return
+        model = compose([*networks[m.network]["overrides"], f"size={m.size}"])["model"]
+        made = Untrained(str(networks[m.network]["name"]), model)
+        result = _measure(made, tasks[m.task], m, setting, repeats)
+        for quantity in tasks[m.task].quantities:
+            yield _row(m, quantity, result, rate, peak) | here | {"device": setting.where}
+    progress(len(wanted), len(wanted))
+
+
+@dataclass
+class _Result:
+    """Seconds of each quantity run by run, bytes at most, operations of each quantity, tokens; or why not."""
+
+    seconds: dict[str, list[float]]
+    peak: int | None
+    flops: dict[str, float]
+    tokens: int
+    first_seconds: float | None
+    status: str = OK
+
+
+def _measure(made: Untrained, task: Task, m: Measurement, setting: Setting, repeats: Repeats) -> _Result:
+    on_paper = made("meta")
+    shapes = m.case.batch(on_paper.gbuffer_channels, setting.seed).to("meta")
+    flops = task.flops(on_paper, shapes)
+    result = _Result({name: [] for name in task.quantities}, None, flops, _tokens(on_paper, m.case), None)
+    on_gpu = setting.where == "cuda"
+    if on_gpu:
+        torch.cuda.empty_cache()
+        torch.cuda.reset_peak_memory_stats()
+    run = network = None
+    try:
+        network = replace(setting, compile=m.compiled).network(made)
+        batch = m.case.batch(network.gbuffer_channels, setting.seed).to(setting.where)
+        run = task.prepared(network, batch, setting)
+        begin = setting.now()
+        run()
+        result.first_seconds = setting.now() - begin
+        for _ in range(repeats.warm_up - 1):
+            run()
+        begin = setting.now()
+        for count in range(repeats.most):
+            if count >= repeats.least and setting.now() - begin > repeats.seconds:
+                break
+            for name, value in run().items():
+                result.seconds[name].append(value)
+        result.peak = torch.cuda.max_memory_allocated() if on_gpu else None
+    except torch.OutOfMemoryError:
+        result.status = "out of memory"
+    finally:
+        del run, network
+        gc.collect()
+        with suppress(AttributeError):
+            torch._dynamo.reset()
+        if on_gpu:
+            torch.cuda.empty_cache()
+    return result
+
+
+def _tokens(network: RenderFormerPP, case: Case) -> int:
+    """Scene tokens and ray bundles of a batch."""
+    batch = case.batch(network.gbuffer_channels, 0).to("meta")
+    with torch.no_grad():
+        scene = network.tokenize(batch)[1].segments.total
+    return scene + case.scenes * case.views * (case.resolution // network.patch_size) ** 2
+
+
+def _row(m: Measurement, quantity: str, result: _Result, rate: float, peak: float | None) -> Row:
+    seconds = result.seconds[quantity]
+    middle = median(seconds) if seconds and result.status == OK else None
+    per_second = result.flops[quantity] / middle if middle else None
+    return {
+        **asdict(m),
+        "quantity": quantity,
+        "status": result.status,
+        "runs": len(seconds),
+        "seconds": middle,
+        "seconds_min": min(seconds) if middle else None,
+        "first_seconds": result.first_seconds,
+        "scenes_per_s": m.scenes / middle if middle else None,
+        "triangles_per_s": m.scenes * m.triangles / middle if middle else None,
+        "tokens_per_s": result.tokens / middle if middle else None,
+        "peak_GB": result.peak / GB if result.peak and result.status == OK else None,
+        "TFLOP": result.flops[quantity] / 1e12,
+        "TFLOP_per_s": per_second and per_second / 1e12,
+        "of_peak": per_second / peak if per_second and peak else None,
+        "of_matrix_rate": per_second and per_second / rate,
+        "matrix_TFLOP_per_s": rate / 1e12,
+        "published_TFLOP_per_s": peak and peak / 1e12,
+    }
+
+
+def _measured(m: Measurement, here: Mapping[str, str], known: Sequence[Mapping[str, Any]]) -> bool:
+    wanted = {**asdict(m), **here}
+    return any(all(str(row.get(name)) == str(value) for name, value in wanted.items()) for row in known)
+
+
+def _name(device: torch.device) -> str:
+    return torch.cuda.get_device_name(device) if device.type == "cuda" else "CPU"

@@ -1,0 +1,138 @@
+"""On a GPU: what it computes is what a CPU computes, in values and gradients, and it is never waited for in between."""
+
+from __future__ import annotations
+
+import contextlib
+
+import numpy as np
+import pytest
+import torch
+from attention_inputs import random_qkv, values_and_gradients
+from fake_gpu import network_on
+from gpu_runs import compile_whole_blocks
+from marks import requires_gpu
+from network_variants import VARIANTS, batch_for, loss
+
+from rfpp import Renderer, Scene
+from rfpp.batch import Segments
+from rfpp.model.attention import AttentionPattern, attend_bucketed, attend_loop, attend_varlen
+from rfpp.training.blocks import RecomputedBlocks, RecomputedObjects
+
+
+@contextlib.contextmanager
+def exact_products():
+    """Products of float32 in float32; TF32 has ten bits."""
+    before = torch.get_float32_matmul_precision(), torch.backends.cudnn.allow_tf32
+    torch.set_float32_matmul_precision("highest")
+    torch.backends.cudnn.allow_tf32 = False
+    try:
+        yield
+    finally:
+        torch.set_float32_matmul_precision(before[0])
+        torch.backends.cudnn.allow_tf32 = before[1]
+
+
+def relative(found: torch.Tensor, expected: torch.Tensor) -> float:
+    found, expected = found.double().cpu(), expected.double().cpu()
+    return float((found - expected).norm() / expected.norm().clamp(min=1e-12))
+
+
+@requires_gpu
+@pytest.mark.parametrize("dim", [64, 96, 128])
+@pytest.mark.parametrize("kind", ["self", "queries of objects", "views"])
+def test_all_backends_agree_in_values_and_gradients(dim, kind):
+    rng = np.random.default_rng(dim)
+    lengths = rng.integers(1, 700, 23).tolist()
+    queries = {"self": lengths, "queries of objects": [8] * 23, "views": [256] * 23}[kind]
+    patterns = {
+        device: AttentionPattern(Segments.from_lengths(queries, device), Segments.from_lengths(lengths, device))
+        for device in ("cpu", "cuda")
+    }
+    qkv = [t.bfloat16() for t in random_qkv(patterns["cpu"].queries, patterns["cpu"].keys, dim=dim)]
+    on_gpu = [t.cuda() for t in qkv]
+    expected = values_and_gradients(attend_loop, *[t.double() for t in qkv], patterns["cpu"])
+    cases = {"varlen": (attend_varlen, on_gpu, 1e-2), "padded": (attend_bucketed, on_gpu, 1e-2)}
+    with exact_products():
+        cases["padded, float32"] = (attend_bucketed, [t.float() for t in on_gpu], 1e-4)
+        cases["loop, float32"] = (attend_loop, [t.float() for t in on_gpu], 1e-4)
+        for name, (backend, inputs, most) in cases.items():
+            for found, right in zip(values_and_gradients(backend, *inputs, patterns["cuda"]), expected, strict=True):
+                assert relative(found, right) < most, name
+
+
+def gradients(net, batch, **autocast) -> dict[str, torch.Tensor]:
+    net.zero_grad()
+    with torch.autocast(batch.positions.device.type, torch.bfloat16, **autocast):
+        made = net(batch)
+        terms = loss()(made.log_radiance, made.transport_states, batch.image, made.token_segments)
+    terms["loss"].backward()
+    return {"loss": terms["loss"].detach(), **{name: p.grad.clone() for name, p in net.named_parameters()}}
+
+
+@requires_gpu
+@pytest.mark.parametrize("variant", VARIANTS.values(), ids=VARIANTS.keys())
+def test_a_training_step_is_that_of_the_cpu(variant):
+    torch.manual_seed(0)
+    net = network_on("cpu", *variant).train()
+    batch = batch_for(net, resolution=32)
+    expected = gradients(net, batch, enabled=False)
+    net = net.cuda()
+    with exact_products():
+        exact = gradients(net, batch.to("cuda"), enabled=False)
+    assert relative(exact["loss"], expected["loss"]) < 1e-5
+    whole = [torch.cat([g[name].flatten().cpu() for name in expected if name != "loss"]) for g in (expected, exact)]
+    assert relative(whole[1], whole[0]) < 1e-3
+    rounded = gradients(net, batch.to("cuda"))
+    assert relative(rounded["loss"], expected["loss"]) < 1e-2
+    rounded = torch.cat([rounded[name].flatten().cpu() for name in expected if name != "loss"])
+    assert torch.cosine_similarity(rounded.double(), whole[0].double(), dim=0) > 0.98
+
+
+@requires_gpu
+@pytest.mark.parametrize("policy", [None, RecomputedBlocks(), RecomputedObjects(15)], ids=["kept", "blocks", "objects"])
+@pytest.mark.parametrize("variant", ["paper", "quickstart"])
+def test_a_training_step_never_waits_for_the_gpu(variant, policy):
+    net = network_on("cuda", *VARIANTS[variant]).train()
+    if policy:
+        policy(net)
+    optimizer = torch.optim.AdamW(net.parameters(), fused=True)
+    batch = batch_for(net, resolution=32).pin_memory()
+
+    def step() -> None:
+        moved = batch.to("cuda", non_blocking=True)
+        with torch.autocast("cuda", torch.bfloat16):
+            made = net(moved)
+            terms = loss()(made.log_radiance, made.transport_states, moved.image, made.token_segments)
+        optimizer.zero_grad()
+        terms["loss"].backward()
+        torch.nn.utils.clip_grad_norm_(net.parameters(), 1.0)
+        optimizer.step()
+
+    step()  # moments, handles and plans are made
+    torch.cuda.synchronize()
+    torch.cuda.set_sync_debug_mode("error")
+    try:
+        step()
+    finally:
+        torch.cuda.set_sync_debug_mode("default")
+
+
+@requires_gpu
+@pytest.mark.parametrize("scene", ["cornell_box", "roughness_spheres"])
+def test_images_are_those_of_the_cpu(scene):
+    scene = Scene.load(f"data/scenes/{scene}.json")
+    images = {}
+    for device, precision in (("cpu", "fp32"), ("cuda", "fp32"), ("cuda", "bf16")):
+        with exact_products():
+            renderer = Renderer.load("rfpp-tiny", device=device, precision=precision)
+            images[device, precision] = np.log10(1 + renderer.render(scene, resolution=64))
+    expected = images["cpu", "fp32"]
+    assert np.abs(images["cuda", "fp32"] - expected).max() < 1e-3
+    assert np.abs(images["cuda", "bf16"] - expected).mean() < 0.02 * expected.mean()
+
+
+@requires_gpu
+def test_blocks_compile_without_a_break(in_process):
+    differences, compilations = in_process(compile_whole_blocks, VARIANTS["paper"])
+    assert max(differences) < 0.05
+    assert compilations[-1] == compilations[1], "other numbers of tokens are compiled anew"

@@ -1,0 +1,38 @@
+"""Every network of the project at a small size, with a batch and a loss for it."""
+
+import numpy as np
+from random_scenes import random_views
+
+from rfpp.batch import RaggedBatch
+from rfpp.gbuffer.first_hit import CHANNELS
+from rfpp.losses.rendering import RenderingLoss
+from rfpp.model.renderformer_pp import RenderFormerPP
+
+#: FlashAttention wants heads of a multiple of eight.
+HEADS = ("size.width=64", "size.heads=1")
+PAPER = ("+experiment=large_scale", "size=tiny", *HEADS)
+VARIANTS = {
+    "paper": PAPER,
+    "quickstart": ("+experiment=quickstart", *HEADS),
+    "windows": (*PAPER, "+model.decoder.windows={_target_: rfpp.model.ray_windows.ShiftedWindows, size: 2}"),
+    **{
+        name: (f"+experiment=[large_scale,{name}]", "size=tiny", *HEADS)
+        for name in ("without_pitg", "without_tcl", "without_ggd", "one_iteration", "renderformer", "renderformer_pitg",
+                     "renderformer_hoct", "renderformer_finetuned", "known_light", "direct_light")
+    },
+}  # fmt: skip
+
+
+def batch_for(net: RenderFormerPP, resolution: int = 16) -> RaggedBatch:
+    rng, channels = np.random.default_rng(0), sum(CHANNELS[name] for name in net.gbuffer_channels)
+    samples = [
+        random_views(rng, sizes, resolution=resolution, channels=channels) for sizes in ((14, 6, 1), (3, 9, 2, 1))
+    ]
+    return RaggedBatch.pack(samples)
+
+
+def loss() -> RenderingLoss:
+    return RenderingLoss(
+        l1_weight=1.0, lpips_weight=0.0, consistency_weight=0.1, lpips_images_per_step=None, lpips_trunk_path=None,
+        consistency_stop_gradient=False,
+    )  # fmt: skip
