@@ -9,6 +9,7 @@ from torch import Tensor, nn
 
 from rfpp.model.attention import AttentionPattern, attend
 from rfpp.model.encoding import Rotation, rotate
+from rfpp.model.precision import as_multiplied
 
 NORM_EPS = 1e-6
 
@@ -40,7 +41,7 @@ class _NormaliseRows(torch.autograd.Function):
         norm = torch.linalg.vector_norm(x, dim=-1, keepdim=True, dtype=torch.float32)
         inverse = (norm.square() / x.shape[-1] + eps).rsqrt().to(x.dtype)
         unit = x * inverse
-        ctx.save_for_backward(_as_multiplied(unit), inverse, weight)
+        ctx.save_for_backward(as_multiplied(unit), inverse, weight)
         return unit * weight
 
     @staticmethod
@@ -174,12 +175,11 @@ def _split(x: Float[Tensor, "n width"], heads: int) -> Float[Tensor, "n h d"]:
 
 
 def _linears(x: Float[Tensor, "n width"], stacked: nn.Linear, parts: int) -> tuple[Tensor, ...]:
-    """Equal parts of a bias-free linear layer's output, each contiguous: slices of one would slow what follows."""
-    x = _as_multiplied(x)  # once, not for each part
+    """Equal parts of a bias-free linear layer's output.
+
+    A GPU takes them in one product, whose launch costs more than what follows on slices. On a CPU each is contiguous.
+    """
+    if x.is_cuda:
+        return stacked(x).chunk(parts, dim=-1)
+    x = as_multiplied(x)  # once, not for each part
     return tuple(F.linear(x, weight) for weight in stacked.weight.chunk(parts))
-
-
-def _as_multiplied(x: Tensor) -> Tensor:
-    """In the dtype that autocast, if it is on, converts to for matrix products. "meta" knows no autocast."""
-    device = x.device.type
-    return x.to(torch.get_autocast_dtype(device)) if not x.is_meta and torch.is_autocast_enabled(device) else x

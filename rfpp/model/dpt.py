@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import nullcontext
 
-import torch
 import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
+
+from rfpp.model.precision import in_float32
 
 LEVELS = 4
 #: Where training starts: about the mean of log10(1 + radiance). At zero, ELU's flat side would swallow the gradient.
@@ -63,8 +63,7 @@ class DPTHead(nn.Module):
         x = self.fuse[1](x, levels[1], levels[0].shape[-2:])
         x = self.fuse[0](x, levels[0], (height, width))
         x = self.out[:-1](_resize(self.smooth(x), (height, width)))
-        # bfloat16's eight bits are too few for an image; there is no autocast where shapes alone are computed
-        with nullcontext() if x.is_meta else torch.autocast(x.device.type, enabled=False):
+        with in_float32(x):  # bfloat16's eight bits are too few for an image
             return self.out[-1](x.float())
 
 

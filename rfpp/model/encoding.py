@@ -9,10 +9,12 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from rfpp.model.precision import as_multiplied
+
 
 @dataclass(frozen=True)
 class Rotation:
-    """Cosines and sines of the rotary angles of N tokens: [N, 1, head_dim / 2] each, in float32."""
+    """Cosines and sines of the rotary angles of N tokens: [N, 1, head_dim / 2] each, as products are computed."""
 
     cos: Float[Tensor, "n 1 half"]
     sin: Float[Tensor, "n 1 half"]
@@ -61,7 +63,7 @@ class RelativeSpatialEncoding(nn.Module):
     def forward(self, points: Float[Tensor, "n 9"]) -> Rotation:
         angles = (points.float()[..., None] * self.frequencies.float()).flatten(-2)
         angles = nn.functional.pad(angles, (0, self.unrotated))[:, None, :]
-        return Rotation(angles.cos(), angles.sin())
+        return Rotation(as_multiplied(angles.cos()), as_multiplied(angles.sin()))
 
 
 def rotate(x: Float[Tensor, "n h d"], rotation: Rotation | None) -> Float[Tensor, "n h d"]:

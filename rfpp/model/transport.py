@@ -48,10 +48,15 @@ class UnconstrainedTransport(nn.Module):
         self.blocks = nn.ModuleList(SelfBlock(width, heads, hidden) for _ in range(layers))
 
     def forward(self, tokens: SceneTokens) -> Transported:
-        features, pattern, rotation = tokens.features, AttentionPattern(tokens.segments), self.position(tokens.points)
+        features = self.layers(tokens.features, AttentionPattern(tokens.segments), self.position(tokens.points))
+        return Transported(replace(tokens, features=features))
+
+    def layers(
+        self, features: Float[Tensor, "n width"], pattern: AttentionPattern, rotation: Rotation
+    ) -> Float[Tensor, "n width"]:
         for block in self.blocks:
             features = block(features, pattern, rotation)
-        return Transported(replace(tokens, features=features))
+        return features
 
 
 class EncodedTransport(nn.Module):
