@@ -16,6 +16,7 @@ import torch
 import torch.nn.functional as F
 from jaxtyping import Float, Int
 from torch import Tensor
+from torch.nn.attention import SDPBackend, sdpa_kernel
 
 from rfpp.batch import Segments, on_device
 from rfpp.model.tiled_attention import TiledAttention
@@ -23,6 +24,9 @@ from rfpp.model.tiled_attention import TiledAttention
 #: Segments are padded to multiples of this and taken in powers of two. On a CPU every new shape of a matrix product
 #: costs a compilation (oneDNN), so the shapes must recur from batch to batch.
 GRANULARITY = 32
+#: Segments of one length, this long at least, go to dense attention on a GPU, where cuDNN's kernel is faster than
+#: FlashAttention's for ragged ones. It is planned for each shape anew, which pays for rays: all views have as many.
+DENSE_FROM = 1024
 #: Up to this many scores per head are held at once on a CPU in bfloat16, which is faster than computing them twice.
 SMALL_ATTENTION = 256 * 256
 
@@ -49,6 +53,9 @@ class AttentionPattern:
             raise ValueError(f"{len(queries)} query segments for {len(keys)} key segments")
         self.queries, self.keys, self.order = queries, keys, order
         self.longest_query, self.longest_key = max(queries.lengths), max(keys.lengths)
+        every = {*queries.lengths, *keys.lengths}
+        #: Rows of every segment of either, 0 where they differ.
+        self.equal_length = every.pop() if len(every) == 1 else 0
 
     @cached_property
     def inverse_order(self) -> Int[Tensor, " n"]:
@@ -178,7 +185,9 @@ def attend(
     q: Float[Tensor, "nq h d"], k: Float[Tensor, "nk h d"], v: Float[Tensor, "nk h d"], pattern: AttentionPattern
 ) -> Float[Tensor, "nq h d"]:
     """softmax(q kᵀ / √d) v within each segment, by the fastest backend for the device and precision."""
-    backend = attend_varlen if has_varlen_kernel(q) else attend_bucketed
+    backend = attend_bucketed
+    if has_varlen_kernel(q):
+        backend = attend_equal if pattern.equal_length >= DENSE_FROM else attend_varlen
     if pattern.order is None:
         return backend(q, k, v, pattern)
     there, back = pattern.order, pattern.inverse_order
@@ -224,6 +233,14 @@ def attend_varlen(q: Tensor, k: Tensor, v: Tensor, pattern: AttentionPattern) ->
 
     offsets = pattern.queries.offsets, pattern.keys.offsets
     return varlen_attn(q, k, v, *offsets, pattern.longest_query, pattern.longest_key)
+
+
+def attend_equal(q: Tensor, k: Tensor, v: Tensor, pattern: AttentionPattern) -> Tensor:
+    """Dense attention in segments of one length (CUDA, half precision)."""
+    heads = [x.unflatten(0, (-1, pattern.equal_length)).transpose(1, 2) for x in (q, k, v)]  # [segments, h, length, d]
+    with sdpa_kernel([SDPBackend.CUDNN_ATTENTION, SDPBackend.FLASH_ATTENTION], set_priority=True):
+        out = F.scaled_dot_product_attention(*heads)
+    return out.transpose(1, 2).flatten(0, 1)
 
 
 def attend_loop(q: Tensor, k: Tensor, v: Tensor, pattern: AttentionPattern) -> Tensor:

@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from rfpp.batch import RaggedBatch, Segments
 from rfpp.model.attention import AttentionPattern
 from rfpp.model.block import CrossBlock, RMSNorm, SelfBlock
-from rfpp.model.encoding import RelativeSpatialEncoding, Rotation
+from rfpp.model.encoding import RelativeSpatialEncoding
 
 
 @dataclass(frozen=True)
@@ -113,41 +113,26 @@ class ObjectTokens(nn.Module):
         per_object, n_q = batch.objects, len(self.queries)
         query_segments = Segments.from_lengths([n_q] * len(per_object), batch.positions.device)
 
-        points = object_anchors(batch).repeat_interleave(n_q, dim=0)
-        tokens = self.layers(
-            triangles,
-            self.queries.repeat(len(per_object), 1),
-            self.position(batch.positions.flatten(1)),
-            self.position(points),
-            within_object=AttentionPattern(per_object),
-            to_triangles=AttentionPattern(query_segments, per_object),
-            among_queries=AttentionPattern(query_segments),
-        )
-        return SceneTokens(
-            features=tokens,
-            points=points,
-            log_light=mean_by_object(batch.log_emission, batch).repeat_interleave(n_q, dim=0),
-            segments=Segments.from_lengths([n_q * n for n in batch.scenes.lengths], batch.positions.device),
-        )
-
-    def layers(
-        self,
-        triangles: Float[Tensor, "m width"],
-        tokens: Float[Tensor, "n width"],
-        rotation: Rotation,
-        anchor_rotation: Rotation,
-        within_object: AttentionPattern,
-        to_triangles: AttentionPattern,
-        among_queries: AttentionPattern,
-    ) -> Float[Tensor, "n width"]:
-        """Queries of objects become their tokens."""
+        rotation = self.position(batch.positions.flatten(1))
+        within_object = AttentionPattern(per_object)
         for block in self.encoder:
             triangles = block(triangles, within_object, rotation)
+
+        points = object_anchors(batch).repeat_interleave(n_q, dim=0)
+        anchor_rotation = self.position(points)
+        to_triangles, among_queries = AttentionPattern(query_segments, per_object), AttentionPattern(query_segments)
+        tokens = self.queries.repeat(len(per_object), 1)
         for i, gather in enumerate(self.gather):
             tokens = gather(tokens, triangles, to_triangles, anchor_rotation, rotation)
             if i < len(self.mix):
                 tokens = self.mix[i](tokens, among_queries, anchor_rotation)
-        return self.norm(tokens)
+
+        return SceneTokens(
+            features=self.norm(tokens),
+            points=points,
+            log_light=mean_by_object(batch.log_emission, batch).repeat_interleave(n_q, dim=0),
+            segments=Segments.from_lengths([n_q * n for n in batch.scenes.lengths], batch.positions.device),
+        )
 
 
 def object_anchors(batch: RaggedBatch) -> Float[Tensor, "o 9"]:

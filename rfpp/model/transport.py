@@ -48,15 +48,10 @@ class UnconstrainedTransport(nn.Module):
         self.blocks = nn.ModuleList(SelfBlock(width, heads, hidden) for _ in range(layers))
 
     def forward(self, tokens: SceneTokens) -> Transported:
-        features = self.layers(tokens.features, AttentionPattern(tokens.segments), self.position(tokens.points))
-        return Transported(replace(tokens, features=features))
-
-    def layers(
-        self, features: Float[Tensor, "n width"], pattern: AttentionPattern, rotation: Rotation
-    ) -> Float[Tensor, "n width"]:
+        features, pattern, rotation = tokens.features, AttentionPattern(tokens.segments), self.position(tokens.points)
         for block in self.blocks:
             features = block(features, pattern, rotation)
-        return features
+        return Transported(replace(tokens, features=features))
 
 
 class EncodedTransport(nn.Module):

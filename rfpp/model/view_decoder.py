@@ -105,28 +105,15 @@ class ViewDecoder(nn.Module):
         to_scene = AttentionPattern(in_view, seen.segments)
         among_rays = cycle(self.windows(batch * views, *grid, rays.device))
 
-        patterns = [(to_scene, pattern) for pattern, _ in zip(among_rays, self.blocks, strict=False)]
-        features = self.layers(rays.flatten(0, 1), scene.features, seen.rows, patterns, ray_rotation, seen_rotation)
-        maps = [f.view(batch * views, *grid, -1).permute(0, 3, 1, 2) for f in features]
+        x, features = rays.flatten(0, 1), []
+        for block in self.blocks:
+            x = block(x, scene.features, seen.rows, to_scene, next(among_rays), ray_rotation, seen_rotation)
+            features.append(x)
+
+        maps = [f.view(batch * views, *grid, -1).permute(0, 3, 1, 2) for f in features[-LEVELS:]]
         predicted = _repeated(self.head(maps, height, width), supersampling)
         radiance = _means(self.shading(predicted, of_points(self.shading.channels)), supersampling)
         return self.film(radiance).view(batch, views, 3, height, width)
-
-    def layers(
-        self,
-        x: Float[Tensor, "n width"],
-        scene: Float[Tensor, "m width"],
-        rows: Int[Tensor, " seen"],
-        patterns: Sequence[tuple[AttentionPattern, AttentionPattern]],
-        ray_rotation: Rotation | None,
-        seen_rotation: Rotation,
-    ) -> list[Float[Tensor, "n width"]]:
-        """What the head reads: the rays' features after each of the last blocks."""
-        features = []
-        for block, (to_scene, among_rays) in zip(self.blocks, patterns, strict=True):
-            x = block(x, scene, rows, to_scene, among_rays, ray_rotation, seen_rotation)
-            features.append(x)
-        return features[-LEVELS:]
 
     @property
     def gbuffer_channels(self) -> tuple[str, ...]:

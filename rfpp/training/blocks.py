@@ -12,11 +12,9 @@ from torch.utils.checkpoint import checkpoint
 from rfpp.batch import RaggedBatch
 from rfpp.errors import UserError
 from rfpp.model.block import CrossBlock, SelfBlock
-from rfpp.model.dpt import DPTHead
 from rfpp.model.renderformer_pp import RenderFormerPP
 from rfpp.model.tokenizer import ObjectTokens, SceneTokens
-from rfpp.model.transport import TransportOperator, UnconstrainedTransport
-from rfpp.model.view_decoder import DecoderBlock, ViewDecoder
+from rfpp.model.view_decoder import DecoderBlock
 
 
 def compile_blocks(network: nn.Module) -> None:
@@ -27,23 +25,6 @@ def compile_blocks(network: nn.Module) -> None:
     """
     for block in _blocks(network):
         block.forward = torch.compile(block.forward, dynamic=True)
-
-
-#: Methods that are given tensors and plans of attention alone, so that a compiler can take them as a whole.
-_STAGES = {
-    ObjectTokens: "layers",
-    UnconstrainedTransport: "layers",
-    TransportOperator: "forward",
-    ViewDecoder: "layers",
-    DPTHead: "forward",
-}
-
-
-def compile_stages(network: nn.Module) -> None:
-    """Compile each stage's layers as a whole, once for all numbers of tokens: the fewest launches on a GPU."""
-    for part in network.modules():
-        if name := _STAGES.get(type(part)):
-            setattr(part, name, torch.compile(getattr(part, name), dynamic=True))
 
 
 class RecomputedBlocks:
