@@ -42,9 +42,10 @@ sys.meta_path[sys.meta_path.index(PathFinder)] = Bare
 """
 
 
-def core_requirements() -> list[str]:
-    """Of the project, without extras."""
-    return tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["dependencies"]
+def requirements_with(*extras: str) -> list[str]:
+    """Of the project, with these extras alone."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    return [*project["dependencies"], *(text for name in extras for text in project["optional-dependencies"][name])]
 
 
 def closure(requirements: Sequence[str]) -> set[str]:
@@ -78,20 +79,19 @@ def hidden(kept: set[str]) -> tuple[list[str], list[str]]:
     return modules, sorted(set().union(*owners.values()) - kept)
 
 
-def python(folder: Path, *arguments: str, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
-    """Run the interpreter in the bare environment.
+def python(folder: Path, *arguments: str, extras: Sequence[str] = ()) -> subprocess.CompletedProcess[str]:
+    """Run the interpreter in the source tree, in the bare environment with these extras.
 
     Args:
         folder: for the file that makes it bare.
-        cwd: the source tree, unless given.
     """
-    modules, absent = hidden(closure(core_requirements()))
+    modules, absent = hidden(closure(requirements_with(*extras)))
     folder.mkdir(exist_ok=True)
     (folder / "sitecustomize.py").write_text(_SITE.format(modules=set(modules), distributions=set(absent)))
     path = os.pathsep.join(map(str, (folder, ROOT)))
     environment = os.environ | {"PYTHONPATH": path, "OMP_NUM_THREADS": "1"}
     return subprocess.run(
-        [sys.executable, *arguments], cwd=cwd or ROOT, env=environment, capture_output=True, text=True, timeout=300
+        [sys.executable, *arguments], cwd=ROOT, env=environment, capture_output=True, text=True, timeout=300
     )
 
 

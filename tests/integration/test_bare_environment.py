@@ -7,7 +7,7 @@ import tomllib
 
 import bare_environment
 import pytest
-from bare_environment import ROOT, closure, core_requirements, hidden
+from bare_environment import ROOT, closure, hidden, requirements_with
 from networks import SMALLEST
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
@@ -20,11 +20,11 @@ STEPS = 3
 
 @pytest.fixture(scope="module")
 def bare(tmp_path_factory):
-    """`bare(*arguments)`: what Python prints there."""
+    """`bare(*arguments, extras=())`: what Python prints there."""
     folder = tmp_path_factory.mktemp("bare")
 
-    def run(*arguments: str, code: int = 0) -> str:
-        done = bare_environment.python(folder, *arguments)
+    def run(*arguments: str, code: int = 0, extras: tuple[str, ...] = ()) -> str:
+        done = bare_environment.python(folder, *arguments, extras=extras)
         assert done.returncode == code, done.stdout + done.stderr
         return done.stdout + done.stderr
 
@@ -35,7 +35,7 @@ def bare(tmp_path_factory):
 def trained(tmp_path_factory, bare):
     """The run's folder and what was said."""
     folder = tmp_path_factory.mktemp("trained")
-    data = make(folder / "data", splits={"train": 3, "validation": 2}).root
+    data = make(folder / "data", splits={"train": 3, "validation": 2, "test": 3}).root
     said = bare(
         "launch/train.py", "+experiment=quickstart", "+debug=cpu", "logger=none", *SMALLEST, f"data.root={data}",
         "data.resolution=8", f"steps={STEPS}", "trainer.val_check_interval=2", "loss.lpips_weight=0.0",
@@ -45,7 +45,7 @@ def trained(tmp_path_factory, bare):
 
 
 def test_it_is_bare():
-    modules, distributions = hidden(closure(core_requirements()))
+    modules, distributions = hidden(closure(requirements_with()))
     assert {*EXTRAS} - {"viser"} <= set(modules)  # the viewer may not be there at all
     assert {"torch", "lightning", "omegaconf", "yaml", "PIL", "torchmetrics"}.isdisjoint(modules)
     assert {"mlflow", "mlflow-skinny", "matplotlib", "pandas"} <= set(distributions)
@@ -84,6 +84,17 @@ def test_its_metrics_are_a_table(trained):
     assert any(float(row["system/cpu_utilization_percentage"] or -1) >= 0 for row in rows)
 
 
+def test_it_is_evaluated_without_tracking(trained, bare):
+    folder = trained[0]
+    said = bare(
+        "launch/evaluate.py", "+experiment=quickstart", f"data.root={folder.parent}/data", "logger=none", "device=cpu",
+        f"checkpoint={folder}/checkpoints/best.ckpt", "evaluation.lpips=false", "evaluation.splits=[test]",
+        extras=("evaluation",),
+    )  # fmt: skip
+    assert "names no MLflow run" in said
+    assert json.loads((folder / "evaluation" / "evaluation.json").read_text())["cost"]["seconds"] > 0
+
+
 def test_a_picture_is_rendered_by_what_was_trained_and_by_what_comes_with_the_project(trained, bare, tmp_path):
     for name, checkpoint in (("own", trained[0] / "checkpoints" / "last.ckpt"), ("shipped", "rfpp-tiny")):
         bare(
@@ -98,16 +109,24 @@ def test_rendering_imports_neither_lightning_nor_mlflow(bare):
     assert bare("-c", f"import sys, launch.render; print(sorted({frameworks} & sys.modules.keys()))") == "[]\n"
 
 
-@pytest.mark.parametrize("command", ["benchmark", "train", "render"])
-def test_commands_explain_themselves(bare, command):
-    assert "powered by Hydra" in bare(f"launch/{command}.py", "--help")
+@pytest.mark.parametrize(
+    ("command", "setting"), [("benchmark", ["benchmark=cost"]), ("train", ["logger=none"]), ("render", [])]
+)
+def test_commands_explain_themselves(bare, command, setting):
+    assert "powered by Hydra" in bare(f"launch/{command}.py", *setting, "--help")
+
+
+def test_benchmarks_are_there_but_for_plots_and_what_compares_with_others(bare):
+    need_more = {"__init__", "cost_plot", "streaming"}
+    names = sorted({path.stem for path in (ROOT / "rfpp" / "benchmark").glob("*.py")} - need_more)
+    bare("-c", "".join(f"import rfpp.benchmark.{name}\n" for name in names))
 
 
 MISSED = {
     "tracking": ("launch/train.py", "+experiment=quickstart", "data.root=absent"),
     "data": ("launch/generate.py", "+experiment=quickstart"),
     "evaluation": ("launch/evaluate.py", "+experiment=quickstart", "checkpoint=absent.ckpt"),
-    "viewer": ("launch/view.py",),
+    "viewer": ("launch/view.py", "scene=data/scenes/cornell_box.json"),
 }
 
 
