@@ -34,7 +34,7 @@ from rfpp.inference.checkpoint import load_network
 from rfpp.metrics.image import ImageMetrics
 from rfpp.metrics.lpips import LPIPS
 from rfpp.shards.stream import ShardSplit
-from rfpp.training.run import write_config
+from rfpp.training.config_file import write_config
 from rfpp.training.tracking.registry import checkpoint_file
 
 
@@ -47,7 +47,7 @@ def main(cfg: DictConfig) -> list[Evaluation]:
     if OmegaConf.is_missing(cfg, "checkpoint"):
         raise UserError("checkpoint is not given: add checkpoint=<run folder>/checkpoints/best.ckpt")
     given = [cfg.checkpoint] if isinstance(cfg.checkpoint, str) else list(cfg.checkpoint)
-    checkpoints = [checkpoint_file(name, cfg.logger.tracking_uri, Path(cfg.logger.folder)) for name in given]
+    checkpoints = [checkpoint_file(name, cfg.registry.tracking_uri, Path(cfg.registry.folder)) for name in given]
     cache = instantiate(cfg.datamodule.cache)
     splits = [ShardSplit(cfg.data.root, name, cache) for name in cfg.evaluation.splits]
     outputs = _outputs(checkpoints, cfg.output, splits[0].manifest.name)

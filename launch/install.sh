@@ -1,5 +1,6 @@
 #!/bin/sh
-# Make a virtual environment with everything the project needs: launch/install.sh [folder]
+# Make a virtual environment with everything the project needs, as it is tested: launch/install.sh [folder]
+# (What renders and trains alone goes into any environment of Python 3.11 to 3.13: pip install .)
 # Needs no root. Names the line that installs a missing Python or system library.
 set -eu
 venv=${1:-.venv}
@@ -12,7 +13,7 @@ for candidate in "${PYTHON:-python3.11}" python3 python; do
     fi
 done
 if [ -z "${python:-}" ]; then
-    echo "error: Python 3.11 is missing (Blender's Python module exists for no other version)." >&2
+    echo "error: Python 3.11 is missing (requirements.lock is for it)." >&2
     echo "Install it: 'sudo apt-get install python3.11 python3.11-venv', 'brew install python@3.11' or 'pyenv install 3.11'," >&2
     echo "or name it: 'make PYTHON=/path/to/python3.11 …'." >&2
     exit 1
@@ -24,7 +25,7 @@ fi
 
 echo "Installing into $venv (about 3 GB; two minutes on a fast line) …"
 [ -x "$venv/bin/python" ] || "$python" -m venv "$venv"
-"$venv/bin/python" -m pip install --quiet --disable-pip-version-check -c requirements.lock -e '.[blender,slurm,viewer,video,dev]'
+"$venv/bin/python" -m pip install --quiet --disable-pip-version-check -c requirements.lock -e '.[all,slurm,dev]'
 
 "$venv/bin/python" - <<'EOF'
 import sys

@@ -35,7 +35,7 @@ from rfpp.progress import counting
 from rfpp.reference.cycles import CyclesSettings, require_blender
 from rfpp.scene.packed import PackedScene
 from rfpp.tone_maps import ToneMap
-from rfpp.training.run import write_config
+from rfpp.training.config_file import write_config
 from rfpp.training.tracking.registry import checkpoint_file
 
 

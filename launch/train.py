@@ -24,13 +24,13 @@ from rfpp.metrics.image import ImageMetrics
 from rfpp.training.blocks import compile_blocks
 from rfpp.training.callbacks.finite_gradients import NonFiniteGradientError
 from rfpp.training.checkpoints import checkpoint_to_resume, point_at
+from rfpp.training.config_file import write_config
 from rfpp.training.module import RenderingModule
 from rfpp.training.run import (
     divide_global_batch,
     same_folder_in_children,
     start_summary,
     trainer_plugins,
-    write_config,
 )
 from rfpp.training.stopping import StoppedError, end_early
 from rfpp.training.summary import end_summary

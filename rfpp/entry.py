@@ -9,6 +9,7 @@ import sys
 import warnings
 from collections.abc import Callable
 from pathlib import Path
+from types import TracebackType
 from typing import Any, NoReturn, TypeVar
 
 import hydra
@@ -18,6 +19,8 @@ from omegaconf import DictConfig, OmegaConf
 
 from rfpp.allocator import keep_freed_memory
 from rfpp.errors import UserError
+from rfpp.extras import missing_extra
+from rfpp.folders import carried
 
 Result = TypeVar("Result")
 
@@ -27,7 +30,7 @@ NO_SPACE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 SQLITE_NO_SPACE = "database or disk is full"
 
 #: Hydra's primary configurations and groups.
-CONFIG_DIR = Path(__file__).resolve().parents[1] / "conf"
+CONFIG_DIR = carried("conf", "_conf")
 
 
 def entry_point(
@@ -49,15 +52,17 @@ def entry_point(
             except UserError as error:
                 _fail(error)
             except InstantiationException as error:  # Hydra's wrapping of what a constructor raised
-                if not isinstance(error.__cause__, UserError):
+                if not isinstance(reason := missing_extra(error) or error.__cause__, UserError):
                     raise
-                _fail(error.__cause__)
+                _fail(reason)
             except OSError as error:  # out of the hands of a library that was writing
                 if error.errno not in NO_SPACE:
                     raise
                 where = error.filename or "while writing"
                 _fail(UserError(f"{where}: {error.strerror}: free some space and run the same command again"))
             except Exception as error:
+                if missing := missing_extra(error):
+                    _fail(missing)
                 if SQLITE_NO_SPACE not in str(error):
                     raise
                 _fail(UserError(f"{SQLITE_NO_SPACE}: free some space and run the same command again"))
@@ -75,6 +80,17 @@ def entry_point(
         return command
 
     return decorate
+
+
+def _uncaught(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
+    """A library may be missing before a command begins: while its file imports what it is made of."""
+    if missing := missing_extra(error):
+        print(f"error: {missing}", file=sys.stderr)
+    else:
+        sys.__excepthook__(kind, error, trace)
+
+
+sys.excepthook = _uncaught
 
 
 def _fail(error: UserError) -> NoReturn:

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from mlflow.exceptions import MlflowException
-
+from rfpp.errors import UserError
 from rfpp.evaluation.confidence import Estimates
 from rfpp.evaluation.records import MODEL
+from rfpp.extras import missing_extra
 from rfpp.inference.checkpoint import CheckpointInfo
 from rfpp.training.tracking import log_results
 
@@ -56,8 +56,8 @@ def log_to_training_run(
     metrics = tracked_metrics(means, prefix="" if data == info.dataset else f"{data}/")
     try:
         log_results(info.mlflow_tracking_uri, info.mlflow_run_id, metrics, where)
-    except (MlflowException, OSError) as error:
-        return f"Not logged to {run}: {str(error).splitlines()[0][:200]}"
+    except (UserError, ModuleNotFoundError) as error:
+        return f"Not logged to {run}: {missing_extra(error) or error}"
     return f"Logged to {run}"
 
 

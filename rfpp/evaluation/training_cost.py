@@ -7,8 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from rfpp.training.tracking.journal import records
-from rfpp.training.tracking.sending import JOURNAL
+from rfpp.training.tracking.journal import JOURNAL, records
 
 
 @dataclass(frozen=True)
@@ -26,7 +25,7 @@ class TrainingCost:
     @classmethod
     def of_run(cls, folder: Path) -> TrainingCost | None:
         """Of the training in this folder; None where no journal tells (a network from elsewhere)."""
-        journal = folder / "tracking" / JOURNAL
+        journal = folder / JOURNAL
         if not journal.is_file():
             return None
         values = [record["values"] for record, _ in records(journal) if record["kind"] == "metrics"]

@@ -43,5 +43,5 @@ def flip_library() -> ModuleType:
     try:
         import flip_evaluator
     except ImportError as error:
-        raise MissingDependencyError(f"FLIP needs its library ({error}): pip install flip-evaluator") from None
+        raise MissingDependencyError(f"FLIP needs its library ({error}): pip install 'rfpp[evaluation]'") from None
     return flip_evaluator

@@ -155,6 +155,8 @@ def _configure(scene, settings: CyclesSettings, height: int, width: int) -> None
     scene.render.film_transparent = False
     scene.render.use_compositing = scene.render.use_sequencer = False
     image = scene.render.image_settings
+    if hasattr(image, "media_type"):  # since Blender 5, which offers only its formats
+        image.media_type = "MULTI_LAYER_IMAGE"
     image.file_format, image.color_depth, image.exr_codec = "OPEN_EXR_MULTILAYER", "32", "NONE"
     scene.view_settings.view_transform, scene.view_settings.look = "Raw", "None"
     scene.view_settings.exposure, scene.view_settings.gamma = 0.0, 1.0
@@ -255,6 +257,6 @@ def _blender() -> ModuleType:
 
 
 def _missing_blender(reason: str) -> MissingDependencyError:
-    system, python = f"apt-get install {_SYSTEM_LIBRARIES}", 'pip install "rfpp[blender]" (Python 3.11)'
+    system, python = f"apt-get install {_SYSTEM_LIBRARIES}", 'pip install "rfpp[blender]" (Python 3.11 or 3.13)'
     remedy = system if ".so" in reason else python
     return MissingDependencyError(f"reference images need Blender ({reason}): {remedy}")

@@ -17,7 +17,6 @@ import numpy as np
 from rfpp.errors import SceneError
 from rfpp.scene.budget import within_budget
 from rfpp.scene.formats import load_scene
-from rfpp.scene.h5 import load_h5
 from rfpp.scene.mesh import Mesh, has_area
 from rfpp.scene.packed import PackedScene
 from rfpp.scene.readers.framing import default_camera, framed
@@ -67,6 +66,8 @@ def load_any(path: Path, triangles: int | None = None, up: str | None = None) ->
     elif suffix in _H5_SUFFIXES:
         if triangles is not None:
             raise SceneError(f"{path}: triangles={triangles}: H5 scenes are not decimated: leave it away")
+        from rfpp.scene.h5 import load_h5  # late: its library is an extra
+
         return load_h5(path)
     elif suffix in _FOREIGN:
         raise SceneError(f"{path}: {suffix} cannot be read: open it in Blender and export glTF (.glb)")

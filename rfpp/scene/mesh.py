@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-import fast_simplification
 import numpy as np
 import trimesh
 from jaxtyping import Bool, Float
@@ -121,6 +120,8 @@ def decimated(mesh: Mesh, target_faces: int) -> Mesh:
     """
     if len(mesh) <= target_faces:
         return mesh
+    import fast_simplification  # late: whoever decimates nothing does without
+
     solid = without_degenerate_faces(welded(mesh))
     for grid_cells in (None, 256, 128, 64, 32, 16, 8, 4):
         try:

@@ -197,12 +197,15 @@ class Scene(Strict):
 
         Raises SceneError for JSON where a material varies over an object's faces, which only H5 holds.
         """
-        from rfpp.scene.formats import save_scene
-        from rfpp.scene.h5 import save_h5
+        path = Path(path)
+        if path.suffix not in (".h5", ".hdf5"):
+            from rfpp.scene.formats import save_scene
+
+            return save_scene(self, path)
+        from rfpp.scene.h5 import save_h5  # its library is an extra
         from rfpp.scene.packed import pack
 
-        path = Path(path)
-        return save_h5(pack(self), path) if path.suffix in (".h5", ".hdf5") else save_scene(self, path)
+        return save_h5(pack(self), path)
 
 
 def first_problem(error: ValidationError, noun: str = "") -> str:

@@ -11,21 +11,15 @@ from typing import Any
 import lightning as L
 import torch
 from lightning.pytorch.plugins.environments import SLURMEnvironment
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig
 from torch import nn
 
-from rfpp.scene.files import write_atomically
 from rfpp.training.checkpoints import AtomicCheckpointIO
 from rfpp.training.datamodule import SceneDataModule
-from rfpp.training.tracking.store import store_uri
+from rfpp.training.tracking.run_logger import RunLogger
 
 #: Environment variable with the name of the run's folder, where it is not the time of starting (conf/common.yaml).
 RUN_VARIABLE = "RFPP_RUN"
-
-
-def write_config(cfg: DictConfig, folder: Path, name: str = "config.yaml") -> Path:
-    """Write the config with every value resolved into `folder`, atomically; returns the file's path."""
-    return write_atomically(folder / name, OmegaConf.to_yaml(cfg, resolve=True).encode())
 
 
 def divide_global_batch(trainer: L.Trainer, datamodule: SceneDataModule) -> None:
@@ -74,7 +68,8 @@ def start_summary(cfg: DictConfig, network: nn.Module, datamodule: SceneDataModu
     images = datamodule.scenes_per_step * datamodule.views_per_scene
     share = datamodule.scenes_per_step // trainer.world_size
     at_once = share // trainer.accumulate_grad_batches
-    store = cfg.logger.tracking_uri or store_uri(cfg.logger.folder)
+    logger = trainer.logger
+    writes = f"{cfg.run_dir}, {logger.kept}" if isinstance(logger, RunLogger) else "nothing: a trial"
     return (
         f"Network  {counts['total'] / 1e6:.1f}M parameters: {stages}\n"
         f"Data     {data.root}: {data.counts['scenes']} scenes, {data.counts['images']} images "
@@ -83,7 +78,7 @@ def start_summary(cfg: DictConfig, network: nn.Module, datamodule: SceneDataModu
         f"= {images} images\n"
         f"Devices  {trainer.world_size} x {_device_name(trainer)}, {share} scenes each, {at_once} at a time, "
         f"{cfg.trainer.precision}\n"
-        f"Writes   {cfg.run_dir}, tracked in {store}"
+        f"Writes   {writes}"
     )
 
 

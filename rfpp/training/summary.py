@@ -5,12 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 from rfpp.metrics.image import METRICS
-from rfpp.training.tracking.journal import records
-from rfpp.training.tracking.logger import RunFolderLogger
-from rfpp.training.tracking.sending import JOURNAL
+from rfpp.training.tracking.journal import JOURNAL, records
+from rfpp.training.tracking.run_logger import RunLogger
 
 
-def end_summary(logger: RunFolderLogger, checkpoint: Path, data_root: str, monitor: str) -> str:
+def end_summary(logger: RunLogger, checkpoint: Path, data_root: str, monitor: str) -> str:
     """A few lines: best validation, its checkpoint, where the run is tracked, how to evaluate and render.
 
     Args:
@@ -19,7 +18,7 @@ def end_summary(logger: RunFolderLogger, checkpoint: Path, data_root: str, monit
     """
     validations = [
         record
-        for record, _ in records(logger.run_dir / "tracking" / JOURNAL)
+        for record, _ in records(logger.run_dir / JOURNAL)
         if record["kind"] == "metrics" and monitor in record["values"]
     ]
     lines = []
@@ -35,9 +34,7 @@ def end_summary(logger: RunFolderLogger, checkpoint: Path, data_root: str, monit
     if logger.registered_model:
         lines.append(f"Model    {logger.registered_model}")
     lines += [
-        f"MLflow   run {logger.run_id or 'not made yet'}, mlflow ui --backend-store-uri {logger.tracking_uri}"
-        if logger.tracking_uri.startswith("sqlite:")
-        else f"MLflow   run {logger.run_id or 'not made yet'} at {logger.tracking_uri}",
+        logger.whereabouts,
         f"Evaluate python launch/evaluate.py data.root={data_root} checkpoint={checkpoint}",
         f"Render   python launch/render.py scene=data/scenes/cornell_box.json checkpoint={checkpoint}",
     ]

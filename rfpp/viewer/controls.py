@@ -13,7 +13,6 @@ import viser
 from PIL import Image
 
 from rfpp.errors import UserError
-from rfpp.scene.h5 import save_h5
 from rfpp.scene.packed import PackedScene, pack
 from rfpp.scene.spec import Camera, Scene, SceneObject
 from rfpp.tone_maps import ToneMap
@@ -222,6 +221,8 @@ def scene_file(scene: Scene | PackedScene, camera: Camera) -> tuple[str, bytes]:
     with tempfile.TemporaryDirectory() as folder:
         varies = isinstance(scene, PackedScene) or any(item.face_material is not None for item in scene.objects)
         if varies:  # which JSON cannot say
+            from rfpp.scene.h5 import save_h5  # late: its library is an extra
+
             return f"{scene.name}.h5", save_h5(pack(scene).seen_by([camera]), Path(folder) / "scene.h5").read_bytes()
         Scene(name=scene.name, objects=scene.objects, cameras=(camera,)).save(Path(folder) / f"{scene.name}.json")
         stream = io.BytesIO()

@@ -1,8 +1,5 @@
 """Networks that come with the project are found by their names, and nothing else is."""
 
-import tomllib
-from pathlib import Path
-
 import numpy as np
 import pytest
 from edited_scenes import scene
@@ -16,7 +13,7 @@ from rfpp.inference.renderer import Renderer
 @pytest.fixture
 def ours(tmp_path, monkeypatch):
     """The folder of a network called "toy"."""
-    monkeypatch.setattr(shipped, "_FOLDERS", (tmp_path / "none", tmp_path / "models"))
+    monkeypatch.setattr(shipped, "FOLDER", tmp_path / "models")
     return Renderer(network(), checkpoint_info()).save(tmp_path / "models" / "toy")
 
 
@@ -38,15 +35,8 @@ def test_other_names_are_none_of_ours(ours, name):
 
 
 def test_without_any_network_no_name_is_ours(tmp_path, monkeypatch):
-    monkeypatch.setattr(shipped, "_FOLDERS", (tmp_path / "absent",))
+    monkeypatch.setattr(shipped, "FOLDER", tmp_path / "absent")
     assert shipped.shipped("toy") is None
-
-
-def test_what_is_installed_is_what_the_source_tree_has():
-    root = Path(__file__).parents[2]
-    listed = tomllib.loads((root / "pyproject.toml").read_text())["tool"]["setuptools"]["data-files"]
-    models = {path.name for path in (root / "data" / "models").iterdir()}
-    assert listed == {f"share/rfpp/models/{name}": [f"data/models/{name}/*"] for name in models}
 
 
 def test_an_unknown_name_is_refused(ours):

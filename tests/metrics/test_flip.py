@@ -44,5 +44,5 @@ def test_broken_pixels_are_wholly_wrong(reference):
 
 def test_a_missing_library_is_named_with_the_remedy(reference, monkeypatch):
     monkeypatch.setitem(sys.modules, "flip_evaluator", None)
-    with pytest.raises(MissingDependencyError, match="pip install flip-evaluator"):
+    with pytest.raises(MissingDependencyError, match=r"pip install 'rfpp\[evaluation\]'"):
         flip(reference, reference)

@@ -13,16 +13,16 @@ from torch import Tensor, distributed
 from rfpp.batch import RaggedBatch
 from rfpp.panels import Picture, panel, save_png, signed_error_map, tone_mapped
 from rfpp.radiance import log_decode
-from rfpp.training.tracking.logger import RunFolderLogger
+from rfpp.training.tracking.run_logger import RunLogger
 
 #: The pictures of a scene, by the sheet and the column they are for.
 Row = dict[str, dict[str, Picture]]
 
 
 class ImagePanels(L.Callback):
-    """Writes sheets into a folder, a row for each scene, and logs them to MLflow as artifacts in `panels/`.
+    """Writes sheets into a folder, a row for each scene, and logs them as artifacts in `panels/`.
 
-    (Its image charts list all of a run's parameters above the image.)
+    (MLflow's image charts list all of a run's parameters above the image.)
 
     `panels-…`: reference, prediction, signed error and, for networks that are given it, the albedo.
     `bounces-…`: the image decoded after each application of the transport operator, for networks that have one.
@@ -61,7 +61,7 @@ class ImagePanels(L.Callback):
             columns = {name: [row[sheet][name] for row in rows] for name in rows[0][sheet]}
             path = save_png(panel(columns), self.folder / f"{sheet}-{trainer.global_step:06d}.png")
             for logger in trainer.loggers:
-                if isinstance(logger, RunFolderLogger):
+                if isinstance(logger, RunLogger):
                     logger.log_file(path, "panels")
 
 

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
+import os
 import threading
 
 import lightning as L
-from mlflow.system_metrics.metrics.base_metrics_monitor import BaseMetricsMonitor
-from mlflow.system_metrics.metrics.cpu_monitor import CPUMonitor
-from mlflow.system_metrics.metrics.disk_monitor import DiskMonitor
-from mlflow.system_metrics.metrics.gpu_monitor import GPUMonitor
-from mlflow.system_metrics.metrics.network_monitor import NetworkMonitor
+import psutil
+
+MEGABYTE = 1e6
 
 
 class SystemMetrics(L.Callback):
-    """Logs MLflow's system metrics of rank 0's machine, as `system/…`, at training's steps.
+    """Logs the state of rank 0's machine at training's steps, as `system/…` by MLflow's names, which has a page for it.
 
     MLflow's own monitor ends when its server is away for a moment; these go the way of all other metrics.
 
@@ -37,25 +36,75 @@ class SystemMetrics(L.Callback):
             self._sampler.join()
 
     def _sample(self, trainer: L.Trainer) -> None:
-        monitors = _monitors()
-        monitors[0].collect_metrics()  # the processor's use is counted from here
-        self._stopped.wait(1.0)
+        machine = Machine()
+        self._stopped.wait(1.0)  # the processor's use is counted from the one before
         while True:
-            values = {}
-            for monitor in monitors:
-                monitor.clear_metrics()
-                monitor.collect_metrics()
-                values |= monitor.aggregate_metrics()
+            values = {f"system/{name}": round(value, 1) for name, value in machine.sample().items()}
             for logger in trainer.loggers:
-                logger.log_metrics({f"system/{name}": value for name, value in values.items()}, trainer.global_step)
+                logger.log_metrics(values, trainer.global_step)
             if self._stopped.wait(self.every_n_seconds):
                 return
 
 
-def _monitors() -> list[BaseMetricsMonitor]:
-    monitors = [CPUMonitor(), DiskMonitor(), NetworkMonitor()]
-    try:
-        monitors.append(GPUMonitor())
-    except Exception:  # no GPU, or no nvidia-ml-py: MLflow raises all kinds
-        return monitors
-    return monitors
+class Machine:
+    """What is counted from here on: use of the processor since the last sample, network since the first."""
+
+    def __init__(self):
+        psutil.cpu_percent()
+        self._network = psutil.net_io_counters()
+        self._gpus = _Gpus()
+
+    def sample(self) -> dict[str, float]:
+        """By MLflow's names, which say the units; megabytes are 10⁶ bytes."""
+        memory, disk, network = psutil.virtual_memory(), psutil.disk_usage(os.sep), psutil.net_io_counters()
+        return {
+            "cpu_utilization_percentage": psutil.cpu_percent(),
+            "system_memory_usage_megabytes": memory.used / MEGABYTE,
+            "system_memory_usage_percentage": 100 * memory.used / memory.total,
+            "disk_usage_percentage": disk.percent,
+            "disk_usage_megabytes": disk.used / MEGABYTE,
+            "disk_available_megabytes": disk.free / MEGABYTE,
+            "network_receive_megabytes": (network.bytes_recv - self._network.bytes_recv) / MEGABYTE,
+            "network_transmit_megabytes": (network.bytes_sent - self._network.bytes_sent) / MEGABYTE,
+            **self._gpus.sample(),
+        }
+
+
+class _Gpus:
+    """NVIDIA's, of which there may be none; what a driver does not tell is left out."""
+
+    def __init__(self):
+        self._handles = []
+        try:
+            import pynvml
+
+            pynvml.nvmlInit()
+            self._nvml = pynvml
+            self._handles = [pynvml.nvmlDeviceGetHandleByIndex(i) for i in range(pynvml.nvmlDeviceGetCount())]
+        except Exception:  # no library, no driver, no GPU
+            return
+
+    def sample(self) -> dict[str, float]:
+        values: dict[str, float] = {}
+        for index, handle in enumerate(self._handles):
+            for measure in (self._memory, self._use, self._power):
+                try:
+                    values |= {f"gpu_{index}_{name}": value for name, value in measure(handle).items()}
+                except self._nvml.NVMLError:
+                    continue
+        return values
+
+    def _memory(self, handle) -> dict[str, float]:
+        memory = self._nvml.nvmlDeviceGetMemoryInfo(handle)
+        return {
+            "memory_usage_percentage": 100 * memory.used / memory.total,
+            "memory_usage_megabytes": memory.used / MEGABYTE,
+        }
+
+    def _use(self, handle) -> dict[str, float]:
+        return {"utilization_percentage": float(self._nvml.nvmlDeviceGetUtilizationRates(handle).gpu)}
+
+    def _power(self, handle) -> dict[str, float]:
+        watts = self._nvml.nvmlDeviceGetPowerUsage(handle) / 1000
+        limit = self._nvml.nvmlDeviceGetEnforcedPowerLimit(handle) / 1000
+        return {"power_usage_watts": watts, "power_usage_percentage": 100 * watts / limit}

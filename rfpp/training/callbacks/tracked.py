@@ -11,7 +11,7 @@ import torch
 
 from rfpp.inference.checkpoint import CHECKPOINT_KEY
 from rfpp.training.stopping import StoppedError
-from rfpp.training.tracking.logger import RunFolderLogger
+from rfpp.training.tracking.run_logger import RunLogger
 
 
 class TrackedRun(L.Callback):
@@ -57,5 +57,5 @@ def without_training_state(checkpoint: Path, target: Path) -> Path:
     return target
 
 
-def _loggers(trainer: L.Trainer) -> Iterator[RunFolderLogger]:
-    return (logger for logger in trainer.loggers if isinstance(logger, RunFolderLogger))
+def _loggers(trainer: L.Trainer) -> Iterator[RunLogger]:
+    return (logger for logger in trainer.loggers if isinstance(logger, RunLogger))

@@ -1,6 +1,7 @@
-"""MLflow: one run per run folder, with everything needed to know later what it was.
+"""One run per run folder, with everything needed to know later what it was; in MLflow, or in the folder alone.
 
-`logger` is Lightning's way in, `journal` what it writes, `sending` how that comes to MLflow.
+`logger` and `local` are Lightning's ways in, `journal` what both write, `sending` how that comes to MLflow. Nothing
+imports MLflow but what talks to it: `logger`, `sending`, `store`, `models`, `datasets`.
 """
 
 from rfpp.training.tracking.description import code_version

@@ -13,6 +13,9 @@ from typing import Any
 
 from rfpp.errors import UserError
 
+#: What a run folder keeps it as.
+JOURNAL = Path("tracking") / "journal.jsonl"
+
 #: A record: what it is (`kind`), when it was written (`time`, ms since 1970), and what belongs to it.
 Record = dict[str, Any]
 

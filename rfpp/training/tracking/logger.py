@@ -1,28 +1,22 @@
-"""The Lightning logger of a training run: one MLflow run, whatever happens to process, machine and server."""
+"""The logger of a run that MLflow tracks: one MLflow run, whatever happens to process, machine and server."""
 
 from __future__ import annotations
 
-import re
-from collections.abc import Mapping
-from functools import cached_property, partial
+from functools import partial
 from pathlib import Path
-from typing import Any
 
-from lightning.pytorch.loggers.logger import Logger
 from lightning.pytorch.utilities import rank_zero_only
 
-from rfpp.scene.files import write_atomically
-from rfpp.shards.manifest import Manifest
-from rfpp.training.tracking.description import code_changes, flattened, machine_tags
 from rfpp.training.tracking.journal import Journal
-from rfpp.training.tracking.sending import JOURNAL, TARGET, Sender
+from rfpp.training.tracking.run_logger import RunLogger
+from rfpp.training.tracking.sending import TARGET, Sender
 from rfpp.training.tracking.store import Target
 
 #: A scheduler that tells a process to stop gives it half a minute or so.
 SECONDS_BEFORE_A_KILL = 5.0
 
 
-class RunFolderLogger(Logger):
+class RunFolderLogger(RunLogger):
     """Writes into the run folder's journal, which a thread sends to MLflow.
 
     A run folder is one MLflow run: who trains on in it logs on in it, with no step missing and none twice. MLflow may
@@ -48,38 +42,23 @@ class RunFolderLogger(Logger):
         parent: str | None,
         patience: float,
     ):
-        super().__init__()
-        self.run_dir, self.patience, self._run_name = Path(run_dir), patience, run_name
-        self._statuses = {"success": "FINISHED", "failed": "FAILED"}  # Lightning's words and MLflow's
+        super().__init__(run_name, run_dir)
+        self.patience = patience
         self._new_target = partial(Target.new, folder, tracking_uri, experiment_name, run_name, parent)
 
-    @cached_property
-    def _begun(self) -> tuple[Journal, Sender]:
-        """On rank 0 alone, by what is asked or logged first: a run that is refused before then is no run."""
+    def _begun(self) -> Journal:
         target = self.run_dir / "tracking" / TARGET
         if not target.exists():
             self._new_target().write(target)
-        journal = Journal(self.run_dir / "tracking" / JOURNAL)
-        journal.append("status", value="RUNNING")
-        sender = Sender(self.run_dir)
-        sender.start()
-        return journal, sender
-
-    @property
-    def _journal(self) -> Journal:
-        return self._begun[0]
+        journal = super()._begun()
+        self._sends = Sender(self.run_dir)
+        self._sends.start()
+        return journal
 
     @property
     def _sender(self) -> Sender | None:
-        return self._begun[1] if rank_zero_only.rank == 0 else None
-
-    @property
-    def name(self) -> str:
-        return self._run_name
-
-    @property
-    def version(self) -> str | None:
-        return self.run_id
+        """None on other ranks."""
+        return self._sends if rank_zero_only.rank == 0 and self._journal else None
 
     @property
     def run_id(self) -> str | None:
@@ -96,61 +75,23 @@ class RunFolderLogger(Logger):
         """`models:/<name>/<version>`, once MLflow has made the version."""
         return self._sender and self._sender.registered
 
-    @rank_zero_only
-    def log_metrics(self, metrics: Mapping[str, float], step: int | None = None) -> None:
-        named = {re.sub(r"[^\w/. -]+", "", name, flags=re.ASCII): value for name, value in metrics.items()}
-        named.pop("epoch", None)  # there are none, see GlobalBatches
-        self._journal.metrics(named, step or 0)
+    @property
+    def kept(self) -> str:
+        return f"tracked in {self.tracking_uri}"
 
-    @rank_zero_only
-    def log_hyperparams(self, params: dict[str, Any]) -> None:
-        self._journal.parameters(flattened(params))
-
-    @rank_zero_only
-    def log_tags(self, tags: Mapping[str, str]) -> None:
-        self._journal.append("tags", values=dict(tags))
-
-    @rank_zero_only
-    def log_file(self, path: Path, folder: str | None = None) -> None:
-        """Log a file of the run folder as an artifact."""
-        self._journal.append("artifact", path=self._inside(path), folder=folder)
-
-    @rank_zero_only
-    def register_model(self, name: str, checkpoint: Path) -> None:
-        """Register a checkpoint of the run folder as the next version of a model."""
-        self._journal.append("model", name=name, path=self._inside(checkpoint))
-
-    @rank_zero_only
-    def describe(self, config: dict[str, Any], config_file: Path, manifest: Manifest, tags: Mapping[str, str]) -> None:
-        """Log what runs: config (as parameters and as a file), data set, code, machine, how often it was resumed."""
-        self.log_hyperparams(config)
-        self.log_tags({**tags, **machine_tags(), "resumed": str(self._journal.starts - 1)})
-        self.log_file(config_file, "config")
-        if changes := code_changes():
-            self.log_file(write_atomically(self.run_dir / "code.diff", changes.encode()), "code")
-        self._journal.append(
-            "dataset", name=manifest.name, digest=manifest.hash, source=str(manifest.root), counts=manifest.counts
-        )
-
-    @rank_zero_only
-    def sync(self) -> None:
-        """See Journal.sync."""
-        self._journal.sync()
+    @property
+    def whereabouts(self) -> str:
+        run = f"MLflow   run {self.run_id or 'not made yet'}"
+        if self.tracking_uri.startswith("sqlite:"):
+            return f"{run}, mlflow ui --backend-store-uri {self.tracking_uri}"
+        return f"{run} at {self.tracking_uri}"
 
     def will_go_on(self) -> None:
         """The run ends before its time, and this folder's next one sends what is left: waiting could take too long."""
-        self._statuses["failed"], self.patience = "KILLED", min(self.patience, SECONDS_BEFORE_A_KILL)
+        super().will_go_on()
+        self.patience = min(self.patience, SECONDS_BEFORE_A_KILL)
 
-    @rank_zero_only
-    def finalize(self, status: str) -> None:
-        if "_begun" not in self.__dict__:
-            return  # nothing has been logged
-        self._journal.append("status", value=self._statuses[status])
-        self._journal.sync()
-        if not self._sender.close(self.patience):
+    def _end(self) -> None:
+        if not self._sends.close(self.patience):
             command = f"python -m rfpp.training.tracking {self.run_dir}"
             print(f"MLflow at {self.tracking_uri} lacks the end of this run: send it with {command}")
-
-    def _inside(self, path: Path) -> str:
-        """Relative to the run folder, which may move."""
-        return str(Path(path).absolute().relative_to(self.run_dir.absolute()))

@@ -16,12 +16,12 @@ from mlflow.utils.validation import MAX_METRICS_PER_BATCH, MAX_PARAMS_TAGS_PER_B
 
 from rfpp.errors import UserError
 from rfpp.training.tracking.datasets import log_dataset
-from rfpp.training.tracking.journal import Record, records
-from rfpp.training.tracking.registry import register
+from rfpp.training.tracking.journal import JOURNAL, Record, records
+from rfpp.training.tracking.models import register
 from rfpp.training.tracking.store import Target, connected
 
-#: What a run folder keeps for MLflow, in `<run folder>/tracking`.
-JOURNAL, TARGET = "journal.jsonl", "run.json"
+#: What says which MLflow run a run folder's is, beside its journal.
+TARGET = "run.json"
 #: Answers that will not change when the same is asked again.
 REFUSALS = ("INVALID_PARAMETER_VALUE", "BAD_REQUEST", "RESOURCE_DOES_NOT_EXIST", "INVALID_STATE")
 SECONDS_BETWEEN_BATCHES = 2.0
@@ -87,7 +87,7 @@ class Sender(threading.Thread):
             client = connected(self.target.tracking_uri)
             self._note(self.target.with_run(client))
             self._client = client
-        for batch, end in _batches(self.run_dir / "tracking" / JOURNAL, self.target.sent):
+        for batch, end in _batches(self.run_dir / JOURNAL, self.target.sent):
             try:
                 self._deliver(batch)
             except (MlflowException, FileNotFoundError, UserError) as error:

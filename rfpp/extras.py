@@ -1,0 +1,33 @@
+"""Libraries that are not always installed, and the extras of this package that bring them."""
+
+from __future__ import annotations
+
+from rfpp.errors import MissingDependencyError
+
+#: Top-level module → extra of pyproject.toml.
+EXTRAS = {
+    "fast_simplification": "data",
+    "h5py": "data",
+    "manifold3d": "data",
+    "skimage": "data",
+    "webdataset": "data",
+    "matplotlib": "evaluation",
+    "mlflow": "tracking",
+    "viser": "viewer",
+}
+
+
+def missing_extra(error: BaseException) -> MissingDependencyError | None:
+    """The error in one line that names the extra, if a library of EXTRAS was missing; else None.
+
+    Args:
+        error: what was raised; what it was raised from counts too, as Hydra wraps what it meets.
+    """
+    cause: BaseException | None = error
+    while cause is not None:
+        if isinstance(cause, ModuleNotFoundError) and cause.name:
+            library = cause.name.partition(".")[0]
+            if library in EXTRAS:
+                return MissingDependencyError(f"{library} is not installed: pip install 'rfpp[{EXTRAS[library]}]'")
+        cause = cause.__cause__ or cause.__context__
+    return None

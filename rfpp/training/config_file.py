@@ -1,0 +1,14 @@
+"""What a command was told, beside what it wrote."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from omegaconf import DictConfig, OmegaConf
+
+from rfpp.scene.files import write_atomically
+
+
+def write_config(cfg: DictConfig, folder: Path, name: str = "config.yaml") -> Path:
+    """Write the config with every value resolved into `folder`, atomically; returns the file's path."""
+    return write_atomically(folder / name, OmegaConf.to_yaml(cfg, resolve=True).encode())

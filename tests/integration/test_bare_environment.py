@@ -1,0 +1,150 @@
+"""What the core install can do, without any extra: training from shards, rendering, the benchmarks' command line."""
+
+import csv
+import json
+import re
+import tomllib
+
+import bare_environment
+import pytest
+from bare_environment import ROOT, closure, hidden, requirements_with
+from networks import SMALLEST
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+from small_data import make
+
+from rfpp.extras import EXTRAS
+
+STEPS = 3
+
+
+@pytest.fixture(scope="module")
+def bare(tmp_path_factory):
+    """`bare(*arguments, extras=())`: what Python prints there."""
+    folder = tmp_path_factory.mktemp("bare")
+
+    def run(*arguments: str, code: int = 0, extras: tuple[str, ...] = ()) -> str:
+        done = bare_environment.python(folder, *arguments, extras=extras)
+        assert done.returncode == code, done.stdout + done.stderr
+        return done.stdout + done.stderr
+
+    return run
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory, bare):
+    """The run's folder and what was said."""
+    folder = tmp_path_factory.mktemp("trained")
+    data = make(folder / "data", splits={"train": 3, "validation": 2, "test": 3}).root
+    said = bare(
+        "launch/train.py", "+experiment=quickstart", "+debug=cpu", "logger=none", *SMALLEST, f"data.root={data}",
+        "data.resolution=8", f"steps={STEPS}", "trainer.val_check_interval=2", "loss.lpips_weight=0.0",
+        f"run_dir={folder}/run", "callbacks.panels.scenes=1", "schedule.warmup_steps=1",
+    )  # fmt: skip
+    return folder / "run", said
+
+
+def test_it_is_bare():
+    modules, distributions = hidden(closure(requirements_with()))
+    assert {*EXTRAS} - {"viser"} <= set(modules)  # the viewer may not be there at all
+    assert {"torch", "lightning", "omegaconf", "yaml", "PIL", "torchmetrics"}.isdisjoint(modules)
+    assert {"mlflow", "mlflow-skinny", "matplotlib", "pandas"} <= set(distributions)
+
+
+def test_a_library_that_is_hidden_is_as_good_as_absent(bare):
+    asked = (
+        "import importlib.util as u, importlib.metadata as m; print(u.find_spec('mlflow'), *m.packages_distributions())"
+    )
+    found = bare("-c", asked).split()
+    assert found[0] == "None"
+    assert "torch" in found
+    assert "mlflow" not in found
+    assert "ModuleNotFoundError: No module named 'mlflow'" in bare("-c", "import mlflow.entities", code=1)
+
+
+def test_the_package_is_imported(bare):
+    bare("-c", "import rfpp; rfpp.Renderer, rfpp.Scene")
+
+
+def test_training_needs_no_tracking(trained):
+    folder, said = trained
+    assert f"Writes   {folder}, its metrics in metrics.csv" in said
+    assert f"Metrics  {folder}/metrics.csv" in said
+    assert "MLflow" not in said
+    assert {path.name for path in (folder / "checkpoints").iterdir()} >= {"best.ckpt", "last.ckpt"}
+    assert {path.name for path in (folder / "panels").iterdir()} >= {"panels-000002.png", "bounces-000002.png"}
+
+
+def test_its_metrics_are_a_table(trained):
+    with open(trained[0] / "metrics.csv") as file:
+        rows = list(csv.DictReader(file))
+    by_step = {int(row["step"]): row for row in rows}
+    assert [step for step, row in by_step.items() if row["train/loss"]] == list(range(STEPS))
+    assert [step for step, row in by_step.items() if row["validation/log_l1"]] == [1]
+    assert any(float(row["system/cpu_utilization_percentage"] or -1) >= 0 for row in rows)
+
+
+def test_it_is_evaluated_without_tracking(trained, bare):
+    folder = trained[0]
+    said = bare(
+        "launch/evaluate.py", "+experiment=quickstart", f"data.root={folder.parent}/data", "logger=none", "device=cpu",
+        f"checkpoint={folder}/checkpoints/best.ckpt", "evaluation.lpips=false", "evaluation.splits=[test]",
+        extras=("evaluation",),
+    )  # fmt: skip
+    assert "names no MLflow run" in said
+    assert json.loads((folder / "evaluation" / "evaluation.json").read_text())["cost"]["seconds"] > 0
+
+
+def test_a_picture_is_rendered_by_what_was_trained_and_by_what_comes_with_the_project(trained, bare, tmp_path):
+    for name, checkpoint in (("own", trained[0] / "checkpoints" / "last.ckpt"), ("shipped", "rfpp-tiny")):
+        bare(
+            "launch/render.py", "scene=data/scenes/cornell_box.json", f"checkpoint={checkpoint}", "cameras=[0]",
+            f"output={tmp_path}/{name}.exr", "resolution=32", "device=cpu",
+        )  # fmt: skip
+        assert (tmp_path / f"{name}.exr").is_file() and (tmp_path / f"{name}.png").is_file()
+
+
+def test_rendering_imports_neither_lightning_nor_mlflow(bare):
+    frameworks = "{'lightning', 'pytorch_lightning', 'mlflow', 'torchmetrics', 'matplotlib'}"
+    assert bare("-c", f"import sys, launch.render; print(sorted({frameworks} & sys.modules.keys()))") == "[]\n"
+
+
+@pytest.mark.parametrize(
+    ("command", "setting"), [("benchmark", ["benchmark=cost"]), ("train", ["logger=none"]), ("render", [])]
+)
+def test_commands_explain_themselves(bare, command, setting):
+    assert "powered by Hydra" in bare(f"launch/{command}.py", *setting, "--help")
+
+
+def test_benchmarks_are_there_but_for_plots_and_what_compares_with_others(bare):
+    need_more = {"__init__", "cost_plot", "streaming"}
+    names = sorted({path.stem for path in (ROOT / "rfpp" / "benchmark").glob("*.py")} - need_more)
+    bare("-c", "".join(f"import rfpp.benchmark.{name}\n" for name in names))
+
+
+MISSED = {
+    "tracking": ("launch/train.py", "+experiment=quickstart", "data.root=absent"),
+    "data": ("launch/generate.py", "+experiment=quickstart"),
+    "evaluation": ("launch/evaluate.py", "+experiment=quickstart", "checkpoint=absent.ckpt"),
+    "viewer": ("launch/view.py", "scene=data/scenes/cornell_box.json"),
+}
+
+
+@pytest.mark.parametrize("extra", MISSED)
+def test_a_missing_extra_is_named_in_one_line(bare, extra):
+    said = bare(*MISSED[extra], code=1)
+    assert re.fullmatch(rf"error: .*pip install .*\[{extra}\]'\n", said), said
+
+
+def test_a_model_of_the_registry_asks_for_tracking(bare, tmp_path):
+    said = bare("launch/render.py", "scene=data/scenes/cornell_box.json", "checkpoint=models:/x/1", code=1)
+    assert said == "error: mlflow is not installed: pip install 'rfpp[tracking]'\n"
+
+
+def test_each_library_is_brought_by_the_extra_that_is_named():
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+    distributions = {"skimage": "scikit-image"}
+    for module, extra in EXTRAS.items():
+        brought = {canonicalize_name(Requirement(text).name) for text in extras[extra]}
+        assert canonicalize_name(distributions.get(module, module)) in brought
+    assert json.dumps(extras["all"]).count("rfpp[") == 1

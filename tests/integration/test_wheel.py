@@ -1,0 +1,90 @@
+"""The wheel carries all that it needs: it is installed beside the libraries and used where no source tree is."""
+
+import os
+import shutil
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+#: What the package carries of the source tree, and where.
+CARRIED = {"rfpp": "rfpp", "conf": "rfpp/_conf", "launch": "rfpp/_launch", "data/models": "rfpp/_models"}
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory):
+    """Built from a copy, since building leaves files in the source tree."""
+    folder = tmp_path_factory.mktemp("wheel")
+    for name in CARRIED:
+        shutil.copytree(ROOT / name, folder / "source" / name, ignore=shutil.ignore_patterns("__pycache__"))
+    for name in ("pyproject.toml", "README.md", "LICENSE"):
+        shutil.copy(ROOT / name, folder / "source")
+    pip("wheel", "--no-build-isolation", "--wheel-dir", str(folder), str(folder / "source"))
+    [path] = folder.glob("*.whl")
+    return path
+
+
+@pytest.fixture(scope="module")
+def installed(wheel, tmp_path_factory):
+    """`installed(*arguments)`: what the command `rfpp` prints in an empty folder, which is `installed.folder`."""
+    site, empty = tmp_path_factory.mktemp("site"), tmp_path_factory.mktemp("empty")
+    pip("install", "--target", str(site), str(wheel))
+
+    def run(*arguments: str, code: int = 0) -> str:
+        environment = os.environ | {"PYTHONPATH": str(site), "OMP_NUM_THREADS": "1"}
+        done = subprocess.run(
+            [sys.executable, str(site / "bin" / "rfpp"), *arguments],
+            cwd=empty, env=environment, capture_output=True, text=True, timeout=300,
+        )  # fmt: skip
+        assert done.returncode == code, done.stdout + done.stderr
+        return done.stdout + done.stderr
+
+    run.folder = empty
+    return run
+
+
+def pip(verb: str, *arguments: str) -> None:
+    """Without the network: neither libraries nor what builds is fetched."""
+    command = [sys.executable, "-m", "pip", verb, "--quiet", "--no-deps", "--no-index", *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_every_file_travels(wheel):
+    kinds = {
+        "rfpp": ("**/*.py", "evaluation/pages/*"),
+        "conf": ("**/*.yaml",),
+        "launch": ("*.py",),
+        "data/models": ("*/*",),
+    }
+    files = {
+        f"{CARRIED[folder]}/{path.relative_to(ROOT / folder)}"
+        for folder, patterns in kinds.items()
+        for pattern in patterns
+        for path in (ROOT / folder).glob(pattern)
+    }
+    assert len(files) > 250
+    assert {name for name in zipfile.ZipFile(wheel).namelist() if name.startswith("rfpp/")} == files
+
+
+def test_a_scene_is_rendered_by_the_network_that_comes_along(installed):
+    installed("render", f"scene={ROOT}/data/scenes/cornell_box.json", "cameras=[0]", "resolution=32", "device=cpu")
+    assert (installed.folder / "data" / "renders" / "cornell_box_0.png").is_file()
+
+
+def test_every_command_is_listed(installed):
+    listed = {line.split()[0] for line in installed("--help").splitlines()[2:]}
+    assert listed == {path.stem for path in (ROOT / "launch").glob("*.py")}
+
+
+def test_a_command_finds_its_configuration(installed):
+    said = installed("train", "--help")
+    assert said.startswith("train is powered by Hydra")
+    assert "experiment: ablation" in said
+
+
+def test_an_unknown_command_is_one_line(installed):
+    assert installed("trian", code=1).startswith("error: rfpp trian: no such command: choose from benchmark, ")
