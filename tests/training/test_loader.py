@@ -192,7 +192,7 @@ def test_a_missing_and_a_truncated_shard_are_left_out_too(root, tmp_path, uninte
     assert keys == [key for batch in uninterrupted for key, _ in batch if key not in gone]
 
 
-@pytest.mark.parametrize("name", ["SIGUSR1", "SIGTERM"])
+@pytest.mark.parametrize("name", ["SIGUSR1", "SIGTERM", "SIGINT"])
 def test_loader_processes_outlive_what_asks_training_to_stop(root, uninterrupted, name):
     """Slurm signals every process of a job; the ranks need their data until they have agreed and saved."""
     before = set(active_children())
