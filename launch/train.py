@@ -2,10 +2,15 @@
 
 python launch/train.py +experiment=quickstart
 
-The same command with the same run_dir goes on where the run was, after a kill too.
+The same command with the same run_dir goes on where the run was, after a kill too. Ctrl-C saves first.
 """
 
 from __future__ import annotations
+
+from rfpp.training.signals import STOP_SIGNALS
+
+if __name__ == "__main__":
+    STOP_SIGNALS.watch()  # what follows takes many seconds to import, in which a signal must not end this rank
 
 import logging
 import warnings

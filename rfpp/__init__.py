@@ -4,15 +4,20 @@ from rfpp import Renderer, Scene
 images = Renderer.load("best.ckpt").render(Scene.load("data/scenes/cornell_box.json"))
 """
 
-from rfpp.scene.spec import Scene
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from rfpp.inference.renderer import Renderer
+    from rfpp.scene.spec import Scene
 
 __all__ = ["Renderer", "Scene"]
 
+#: Where these are. Both take their time to import: only who asks for one should wait for it.
+_MODULES = {"Renderer": "rfpp.inference.renderer", "Scene": "rfpp.scene.spec"}
+
 
 def __getattr__(name: str):
-    # torch takes a second to import: only who renders should wait for it
-    if name == "Renderer":
-        from rfpp.inference.renderer import Renderer
-
-        return Renderer
+    if name in _MODULES:
+        return getattr(import_module(_MODULES[name]), name)
     raise AttributeError(f"module 'rfpp' has no attribute {name!r}")

@@ -128,6 +128,18 @@ class SlurmCluster:
             time.sleep(0.3)
         raise TimeoutError(f"job {job} is {states} after {timeout} s; see {self.folder}/*.log")
 
+    def wait_for(self, job: str, state: str, timeout: float = 120) -> None:
+        """Wait until a job that has been running is in this state."""
+        deadline = time.monotonic() + timeout
+        ran = False
+        while time.monotonic() < deadline:
+            states = self.states(job)
+            if ran and states == [state]:
+                return
+            ran |= states == ["RUNNING"]
+            time.sleep(0.3)
+        raise TimeoutError(f"job {job} is {states} after {timeout} s; see {self.folder}/*.log")
+
     def states(self, job: str) -> list[str]:
         """Of the tasks of a job."""
         shown = subprocess.run(

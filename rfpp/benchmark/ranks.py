@@ -5,8 +5,9 @@ from __future__ import annotations
 import socket
 import time
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from statistics import median
 from typing import TYPE_CHECKING
 
@@ -16,6 +17,7 @@ from torch import multiprocessing, nn
 from torch.nn.parallel import DistributedDataParallel
 
 from rfpp.batch import RaggedBatch, SceneViews
+from rfpp.training.dealing import Dealing, InOrder
 
 if TYPE_CHECKING:
     from rfpp.benchmark.scaling import Training
@@ -33,18 +35,22 @@ class Timings:
         alone: a step on a global batch by one process while the other rests.
         whole_batch, half_batch: a step on a global batch, and on half of one, while the other process does the same.
         all_reduce: averaging the gradients, and nothing else.
-        together: a step of both on one global batch, half each, as DistributedDataParallel does it.
+        together: a step of both on one global batch, half each, as DistributedDataParallel does it, by dealing.
     """
 
     alone: float
     whole_batch: float
     half_batch: float
     all_reduce: float
-    together: float
+    together: dict[str, float]
 
 
 def timed_ranks(
-    training: Training, scenes: Sequence[SceneViews], rounds: int, progress: Callable[[int, int], None]
+    training: Training,
+    scenes: Sequence[SceneViews],
+    dealings: Mapping[str, Dealing],
+    rounds: int,
+    progress: Callable[[int, int], None],
 ) -> Timings:
     """Time both processes. Of each measurement the slower one counts; `scenes` hold STEPS global batches."""
     context = multiprocessing.get_context("spawn")
@@ -52,7 +58,8 @@ def timed_ranks(
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         address = f"tcp://127.0.0.1:{free.getsockname()[1]}"
-    ranks = multiprocessing.spawn(_rank, (address, training, list(scenes), rounds, results), nprocs=RANKS, join=False)
+    arguments = (address, training, list(scenes), list(dealings.values()), rounds, results)
+    ranks = multiprocessing.spawn(_rank, arguments, nprocs=RANKS, join=False)
     measured = []
     progress(0, rounds)
     while len(measured) < rounds:
@@ -62,10 +69,19 @@ def timed_ranks(
         measured.append(results.get())
         progress(len(measured), rounds)
     ranks.join()
-    return Timings(*(median(values) for values in zip(*measured, strict=True)))
+    alone, whole_batch, half_batch, all_reduce, *together = (median(values) for values in zip(*measured, strict=True))
+    return Timings(alone, whole_batch, half_batch, all_reduce, dict(zip(dealings, together, strict=True)))
 
 
-def _rank(rank: int, address: str, training: Training, scenes: list[SceneViews], rounds: int, results) -> None:
+def _rank(
+    rank: int,
+    address: str,
+    training: Training,
+    scenes: list[SceneViews],
+    dealings: Sequence[Dealing],
+    rounds: int,
+    results,
+) -> None:
     torch.set_num_threads(1)
     warnings.filterwarnings("ignore", message="Grad strides do not match")
     torch.manual_seed(0)
@@ -73,13 +89,21 @@ def _rank(rank: int, address: str, training: Training, scenes: list[SceneViews],
     network, loss = training.network(), training.loss()
     together = DistributedDataParallel(network)
     optimizer = training.optimizer(network.parameters())
-    whole = [RaggedBatch.pack(scenes[i * training.scenes :][: training.scenes]) for i in range(STEPS)]
-    share = training.scenes // RANKS
-    half = [RaggedBatch.pack(scenes[i * training.scenes + rank * share :][:share]) for i in range(STEPS)]
+    batches = [scenes[i * training.scenes :][: training.scenes] for i in range(STEPS)]
+    whole = [RaggedBatch.pack(batch) for batch in batches]
+
+    def share(dealing: Dealing) -> list[RaggedBatch]:
+        """This rank's, of each global batch."""
+        return [
+            RaggedBatch.pack(dealing(batch, lambda scene: len(scene.triangles.positions), RANKS)[rank])
+            for batch in batches
+        ]
+
+    half, shares = share(InOrder()), [share(dealing) for dealing in dealings]
     gradients = torch.zeros(sum(p.numel() for p in network.parameters()))
 
-    def steps(module: nn.Module, batches: Sequence[RaggedBatch]) -> None:
-        for batch in batches:
+    def steps(module: nn.Module, packed: Sequence[RaggedBatch]) -> None:
+        for batch in packed:
             with torch.autocast("cpu", torch.bfloat16):
                 made = module(batch)
             loss(made.log_radiance, made.transport_states, batch.image, made.token_segments)["loss"].backward()
@@ -91,7 +115,7 @@ def _rank(rank: int, address: str, training: Training, scenes: list[SceneViews],
         lambda: steps(network, whole),
         lambda: steps(network, half),
         lambda: [dist.all_reduce(gradients) for _ in range(STEPS)],
-        lambda: steps(together, half),
+        *(partial(steps, together, dealt) for dealt in shares),
     )
     for turn in range(-1, rounds):  # the first one warms up
         seconds = torch.tensor([_seconds(run) / STEPS for run in measurements])

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import product
 
 import numpy as np
 import torch
@@ -20,6 +21,7 @@ from rfpp.losses.rendering import RenderingLoss
 from rfpp.model.renderformer_pp import RenderFormerPP
 from rfpp.scene.packed import pack
 from rfpp.shards.job import SceneSource
+from rfpp.training.dealing import Dealing
 from rfpp.training.flops import training_flops
 
 Row = dict[str, str | int | float | None]
@@ -77,7 +79,7 @@ class Training:
         invented = noise(channels, scene.triangles.num_objects, self.views, self.resolution, rng)
         return SceneViews("", scene.triangles, scene.c2w, scene.fov, **invented)
 
-    def work(self, scenes: Sequence[SceneViews]) -> Work:
+    def work(self, scenes: Sequence[SceneViews], dealing: Dealing) -> Work:
         """Of a step on these scenes."""
         network = self.network()
         triangles = np.array([len(s.triangles.positions) for s in scenes])
@@ -86,19 +88,20 @@ class Training:
             flops = [training_flops(network, RaggedBatch.pack([scenes[i]])) for i in counted]
         line = np.polynomial.Polynomial.fit(triangles[counted], flops, 1)
         size = float(sum(p.numel() * p.element_size() for p in network.parameters()))
-        return Work(line(triangles), size, self.scenes, self.scenes_at_once, self.views)
+        return Work(triangles, line(triangles), size, self.scenes, self.scenes_at_once, dealing, self.views)
 
 
 def measure(
     checked: Sequence[str],
     predicted: Sequence[str],
     sample: int,
+    dealings: Mapping[str, Dealing],
     clusters: Mapping[str, Cluster],
     devices: Sequence[int],
     rounds: int,
     progress: Callable[[int, int], None],
 ) -> list[Row]:
-    """Rows of this machine, one and two processes of a core each, and of the clusters, with how many devices.
+    """Rows of this machine, one and two processes of a core each, and of the clusters, by dealing and devices.
 
     Of this machine are known: the time of a step without communication for half and for a whole global batch while
     both cores work, and of averaging the gradients alone. The time of two processes' steps is predicted from these,
@@ -108,23 +111,30 @@ def measure(
         checked: overrides of launch/train.py; small enough to be timed here.
         predicted: overrides, too: what the clusters train, with its global batch and with one that grows with them.
         sample: how many scenes stand for all.
-        clusters: by the name that the rows have.
+        dealings: of a global batch to devices, by the name that the rows have.
+        clusters: likewise.
         devices: how many.
         rounds: of timing; medians are taken.
         progress: called with (rounds done, rounds in all).
     """
     training = Training.of(checked, sample)
     scenes = training.scene_views()
-    timings = timed_ranks(training, scenes, rounds, progress)
-    work = training.work(scenes)
-    here, measured = this_machine(work, timings), {1: timings.alone, 2: timings.together}
-    rows = _rows("this machine", here, dict.fromkeys(measured, work), measured)
+    timings = timed_ranks(training, scenes, dealings, rounds, progress)
+    some_dealing = next(iter(dealings.values()))
+    work = training.work(scenes, some_dealing)
+    here = this_machine(work, timings)
+    rows = []
+    for name, dealing in dealings.items():
+        measured = {1: timings.alone, 2: timings.together[name]}
+        dealt = replace(work, dealing=dealing)
+        rows += _rows("this machine", name, here, dict.fromkeys(measured, dealt), measured)
     training = Training.of(predicted, sample)
-    work = training.work(training.scene_views())
-    for name, cluster in clusters.items():
+    work = training.work(training.scene_views(), some_dealing)
+    for (hardware, cluster), (name, dealing) in product(clusters.items(), dealings.items()):
+        dealt = replace(work, dealing=dealing)
         per_device = max(1, work.scenes // cluster.devices_per_node)
-        rows += _rows(name, cluster, {n: work for n in devices if work.scenes % n == 0})
-        rows += _rows(name, cluster, {n: replace(work, scenes=per_device * n) for n in devices})
+        rows += _rows(hardware, name, cluster, {n: dealt for n in devices if work.scenes % n == 0})
+        rows += _rows(hardware, name, cluster, {n: replace(dealt, scenes=per_device * n) for n in devices})
     return rows
 
 
@@ -146,7 +156,11 @@ def this_machine(work: Work, timings: Timings) -> Cluster:
 
 
 def _rows(
-    hardware: str, cluster: Cluster, work: Mapping[int, Work], measured: Mapping[int, float] | None = None
+    hardware: str,
+    dealing: str,
+    cluster: Cluster,
+    work: Mapping[int, Work],
+    measured: Mapping[int, float] | None = None,
 ) -> list[Row]:
     """A row for each number of devices, the first of them the one that the others' efficiency is of."""
     times = {devices: step_time(cluster, its, devices) for devices, its in work.items()}
@@ -155,6 +169,7 @@ def _rows(
     return [
         {
             "trained_on": hardware,
+            "dealt": dealing,
             "devices": devices,
             "images_per_step": work[devices].images,
             "compute_s": time.compute,

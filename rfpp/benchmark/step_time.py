@@ -2,7 +2,7 @@
 
 Synchronous data parallelism: the devices share a global batch, each computes its part, the slowest one decides, and
 their gradients are averaged by all-reduces that hide behind the backward pass as far as they can (Li et al. 2020,
-"PyTorch Distributed"). Scenes differ in size, so the devices' parts do too.
+"PyTorch Distributed"). Scenes differ in size, so the devices' parts do too, as much as their dealing leaves.
 """
 
 from __future__ import annotations
@@ -10,7 +10,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
+
+from rfpp.training.dealing import Dealing
 
 #: Of forward and backward; gradients come in the latter.
 BACKWARD_SHARE = 2 / 3
@@ -50,17 +52,21 @@ class Work:
     """What there is to do.
 
     Attributes:
-        scene_flops: a sample of scenes: operations of a training step for each, with all its views.
+        triangles: of a sample of scenes.
+        scene_flops: of the same: operations of a training step for each, with all its views.
         gradient_bytes: of the network.
         scenes: of a global batch.
         scenes_at_once: that a device holds; the rest of its share comes after. None: its whole share.
+        dealing: which device gets which scenes.
         views: of each scene.
     """
 
+    triangles: Int[np.ndarray, " sample"]
     scene_flops: Float[np.ndarray, " sample"]
     gradient_bytes: float
     scenes: int
     scenes_at_once: int | None
+    dealing: Dealing
     views: int
 
     @property
@@ -97,7 +103,7 @@ def step_time(cluster: Cluster, work: Work, devices: int) -> StepTime:
         raise ValueError(f"{work.scenes} scenes do not divide among {devices} devices")
     batches = -(-share // (work.scenes_at_once or share))
     mean = share * work.scene_flops.mean() / cluster.flops_per_second
-    slowest = slowest_share(work.scene_flops, devices, share) * mean
+    slowest = slowest_share(work, devices) * mean
     backward = BACKWARD_SHARE * mean / batches  # only the last one's gradients are averaged
     alone = all_reduce_seconds(cluster, work.gradient_bytes, devices)
     last_bucket = all_reduce_seconds(cluster, min(cluster.bucket_bytes, work.gradient_bytes), devices)
@@ -109,10 +115,12 @@ def step_time(cluster: Cluster, work: Work, devices: int) -> StepTime:
     )
 
 
-def slowest_share(scene_flops: Float[np.ndarray, " sample"], devices: int, share: int) -> float:
+def slowest_share(work: Work, devices: int) -> float:
     """How much more than the average the device with the most to do has to do, in the mean over random batches."""
-    drawn = np.random.default_rng(0).choice(scene_flops, (DRAWS, devices, share)).sum(-1)
-    return float(drawn.max(-1).mean() / drawn.mean())
+    drawn = np.random.default_rng(0).integers(len(work.triangles), size=(DRAWS, work.scenes))
+    dealt = [work.dealing(batch, work.triangles.__getitem__, devices) for batch in drawn.tolist()]
+    loads = work.scene_flops[np.array(dealt)].sum(-1)  # [draws, devices]
+    return float(loads.max(-1).mean() / loads.mean())
 
 
 def all_reduce_seconds(cluster: Cluster, size: float, devices: int) -> float:

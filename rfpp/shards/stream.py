@@ -47,6 +47,7 @@ class ShardSplit(Dataset):
         self._shards = self.manifest.shards(split)
         self._ends = list(accumulate(self.sizes))
         self._open: OrderedDict[str, tuple[ShardIndex, int]] = OrderedDict()
+        self._triangles: dict[str, list[int]] = {}
         if require_all and isinstance(self.manifest.root, Path):
             for shard in self._shards:
                 shard.require_intact_file(self.manifest.root)
@@ -75,6 +76,13 @@ class ShardSplit(Dataset):
         """The key of a sample, without reading it."""
         shard, position = self._locate(index)
         return self._opened(shard)[0].samples[position].key
+
+    def triangles(self, index: int) -> int:
+        """Of a scene, from the index of its shard alone, which is read once."""
+        shard, position = self._locate(index)
+        if shard.file not in self._triangles:
+            self._triangles[shard.file] = [entry.triangles for entry in self.manifest.index(shard).samples]
+        return self._triangles[shard.file][position]
 
     def close(self) -> None:
         """Close all files; they are opened again when needed."""

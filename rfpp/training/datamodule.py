@@ -17,6 +17,7 @@ from rfpp.shards.cache import ShardCache
 from rfpp.shards.manifest import Manifest
 from rfpp.shards.order import ShuffledOrder, leading
 from rfpp.shards.stream import ShardSplit
+from rfpp.training.dealing import Dealing
 from rfpp.training.loader import SceneLoader, SkippingCorrupt, pack_readable
 from rfpp.training.views import AllViews, ColourPermutation, GlobalBatches, RigidAugmentation, TrainingViews
 
@@ -33,6 +34,7 @@ class SceneDataModule(L.LightningDataModule):
         scenes_per_step: scenes in a global batch, over all devices.
         scenes_per_device: scenes that a device holds at once, at most; the rest of its share of the global batch comes
             after, with gradients accumulated. None: its whole share at once.
+        dealing: which device gets which scenes of a global batch.
         views_per_scene: views of each of them; scenes x views is the batch size the paper speaks of.
         training_scenes: use only the first so many scenes of the `train` split; None uses all.
         validation_scenes: how many scenes of the `validation` split to use at most.
@@ -51,6 +53,7 @@ class SceneDataModule(L.LightningDataModule):
         gbuffer_channels: Sequence[str],
         scenes_per_step: int,
         scenes_per_device: int | None,
+        dealing: Dealing,
         views_per_scene: int,
         training_scenes: int | None,
         validation_scenes: int,
@@ -64,7 +67,7 @@ class SceneDataModule(L.LightningDataModule):
         super().__init__()
         self.root, self.cache, self.channels = root, cache, tuple(gbuffer_channels)
         self.scenes_per_step, self.scenes_per_device = scenes_per_step, scenes_per_device
-        self.views_per_scene = views_per_scene
+        self.dealing, self.views_per_scene = dealing, views_per_scene
         self.training_scenes, self.validation_scenes = training_scenes, validation_scenes
         self.shuffle_shards, self.skip_corrupt = shuffle_shards, skip_corrupt
         self.rigid_augmentation, self.colour_augmentation = rigid_augmentation, colour_augmentation
@@ -107,6 +110,8 @@ class SceneDataModule(L.LightningDataModule):
         trainer = self.trainer
         batches = GlobalBatches(
             ShuffledOrder(leading(split.sizes, self.training_scenes or len(split)), self.seed, self.shuffle_shards),
+            self.dealing,
+            lambda draw: self._triangles(split, draw[1]),
             scenes_per_batch=self.scenes_per_step,
             batches=trainer.max_steps,
             start=self._steps_before,
@@ -151,6 +156,15 @@ class SceneDataModule(L.LightningDataModule):
             "datamodule.shuffle_shards": self.shuffle_shards,
             "data manifest": self.manifest.hash,
         }
+
+    def _triangles(self, split: ShardSplit, scene: int) -> int:
+        """Of a scene; of none where its index cannot be read, as its reader leaves it out of its batch."""
+        try:
+            return split.triangles(scene)
+        except ShardError:
+            if not self.skip_corrupt:
+                raise
+            return 0
 
     def _loader(self, dataset, collate, **how) -> DataLoader:
         return SceneLoader(

@@ -1,4 +1,4 @@
-"""Being told to stop: signals set a flag, and all ranks act on it together."""
+"""Being told to stop: signals are remembered (rfpp/training/signals.py), and all ranks act on them together."""
 
 from __future__ import annotations
 
@@ -11,22 +11,17 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from multiprocessing import active_children, resource_tracker
 from pathlib import Path
-from types import FrameType
 from typing import NoReturn
 
 import torch
-from lightning.pytorch.strategies import Strategy
+import torch.distributed as dist
 
 from rfpp.errors import UserError
-
-#: What Slurm is asked to send before the time limit (launch/slurm/train.sbatch): save, and come back.
-COME_BACK = signal.SIGUSR1
-#: What `scancel`, `kill` and a machine that shuts down send: save, and end.
-END = signal.SIGTERM
+from rfpp.training.signals import BY_WEIGHT, COME_BACK
 
 
 class StoppedError(UserError):
-    """Training ended before its time, on all ranks at once, and everything is saved.
+    """Training ended before its time, on all ranks at once, and everything that was learned is saved.
 
     Attributes:
         signal: what was received.
@@ -39,16 +34,15 @@ class StoppedError(UserError):
 
 @contextmanager
 def unheard_by_children() -> Iterator[None]:
-    """Daemonic processes started meanwhile never get these signals, which Slurm sends to all of a job's processes.
+    """Daemonic processes started meanwhile never get these signals, which Slurm and terminals send to all processes.
 
     A loader process would die of them, and training with it, before the ranks have agreed and saved. When this
     process ends, it kills those that are left.
     """
-    stop = {COME_BACK, END}
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, stop)
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, BY_WEIGHT)
     try:
-        resource_tracker.ensure_running()  # multiprocessing's own child; when it starts, it unblocks SIGTERM
-        signal.pthread_sigmask(signal.SIG_BLOCK, stop)
+        resource_tracker.ensure_running()  # multiprocessing's own child; when it starts, it unblocks two of them
+        signal.pthread_sigmask(signal.SIG_BLOCK, BY_WEIGHT)
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
@@ -64,29 +58,32 @@ def _kill_children() -> None:
             child.kill()
 
 
-class StopSignals:
-    """Remembers that a signal came.
+class Agreement:
+    """The same answer on all ranks to two questions: what was received, and whether a checkpoint is due.
 
-    Nothing is done inside the handler: ranks get a signal at different moments, and one that starts to save in the
-    middle of another's all-reduce waits for ever.
+    Ranks ask over a group of their own, of their processors: an answer that went through their accelerators would
+    come after all the work that these have been given. To be made by all ranks together.
+
+    Args:
+        ranks: how many there are; one agrees with itself.
     """
 
-    def __init__(self) -> None:
-        self._received = 0
+    def __init__(self, ranks: int):
+        self._group = dist.new_group(backend="gloo") if ranks > 1 else None
 
-    def watch(self) -> None:
-        """From now on; replaces Lightning's handlers, which save and communicate inside."""
-        for number in (COME_BACK, END):
-            signal.signal(number, self._remember)
+    def __call__(self, received: signal.Signals | None, due: bool) -> tuple[signal.Signals | None, bool]:
+        """What any rank has received, the weightiest first, and whether any says so; each must ask, at the same steps.
 
-    def _remember(self, number: int, _: FrameType | None) -> None:
-        self._received = number
-
-    def agreed(self, strategy: Strategy) -> signal.Signals | None:
-        """What any rank has received, the same answer on all of them; each must ask."""
-        number = torch.tensor(self._received, device=strategy.root_device)
-        highest = int(strategy.reduce(number, reduce_op="max"))  # SIGTERM's number is above SIGUSR1's
-        return signal.Signals(highest) if highest else None
+        Args:
+            received: by this rank.
+            due: whether a checkpoint is, in this rank's opinion.
+        """
+        if self._group is None:
+            return received, due
+        said = torch.tensor([0 if received is None else 1 + BY_WEIGHT.index(received), int(due)])
+        dist.all_reduce(said, dist.ReduceOp.MAX, group=self._group)
+        weight, any_due = said.tolist()
+        return (BY_WEIGHT[weight - 1] if weight else None), bool(any_due)
 
 
 def end_early(stop: StoppedError, run_dir: Path) -> NoReturn:

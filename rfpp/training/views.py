@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
 
@@ -16,6 +16,7 @@ from rfpp.scene.triangles import DIFFUSE, EMISSION, SPECULAR, SceneTriangles
 from rfpp.shards.order import ShuffledOrder
 from rfpp.shards.sample import SceneSample, ViewChoice
 from rfpp.shards.stream import ShardSplit
+from rfpp.training.dealing import Dealing
 
 
 def select_views(sample: SceneSample, views: Sequence[int], channels: Sequence[str]) -> SceneViews:
@@ -147,11 +148,13 @@ class AllViews(Dataset):
 class GlobalBatches(Sampler[list[tuple[int, int]]]):
     """One rank's share of each global batch, for a whole run: lists of (epoch, scene index).
 
-    The global order runs through epoch after epoch and is the same for any number of ranks; rank r takes the
-    r-th part of each global batch, in `accumulate` smaller batches one after the other.
+    The global order runs through epoch after epoch and is the same for any number of ranks. Each global batch is dealt
+    to the ranks, and what a rank has got to `accumulate` smaller batches one after the other.
 
     Args:
         order: of the scenes.
+        dealing: who gets what.
+        triangles_of: the scene of a draw has so many.
         scenes_per_batch: global, over all ranks.
         batches: global ones in the whole run.
         start: how many of them were trained on before.
@@ -162,6 +165,8 @@ class GlobalBatches(Sampler[list[tuple[int, int]]]):
     def __init__(
         self,
         order: ShuffledOrder,
+        dealing: Dealing,
+        triangles_of: Callable[[tuple[int, int]], int],
         scenes_per_batch: int,
         batches: int,
         start: int = 0,
@@ -173,7 +178,8 @@ class GlobalBatches(Sampler[list[tuple[int, int]]]):
             raise ValueError(
                 f"{scenes_per_batch} scenes per step do not divide among {ranks} ranks, {accumulate} batches each"
             )
-        self.order, self.scenes_per_batch = order, scenes_per_batch
+        self.order, self.dealing, self.triangles_of = order, dealing, triangles_of
+        self.scenes_per_batch = scenes_per_batch
         self.batches, self.start = batches, start
         self.rank, self.ranks, self.accumulate = rank, ranks, accumulate
 
@@ -183,8 +189,7 @@ class GlobalBatches(Sampler[list[tuple[int, int]]]):
 
     def __iter__(self) -> Iterator[list[tuple[int, int]]]:
         draws = self.order.draws(self.start * self.scenes_per_batch)
-        size = self.scenes_per_batch // (self.ranks * self.accumulate)
         for _ in range(self.start, self.batches):
             batch = list(islice(draws, self.scenes_per_batch))
-            for part in range(self.rank * self.accumulate, (self.rank + 1) * self.accumulate):
-                yield batch[part * size : (part + 1) * size]
+            share = self.dealing(batch, self.triangles_of, self.ranks)[self.rank]
+            yield from self.dealing(share, self.triangles_of, self.accumulate)

@@ -20,7 +20,7 @@ def test_the_model_is_checked_here_and_asked_about_clusters(tmp_path):
         ]  # fmt: skip
         rows = main.__wrapped__(compose("benchmark", overrides=settings))
     here = [row for row in rows if row["trained_on"] == "this machine"]
-    assert [row["devices"] for row in here] == [1, 2]
+    assert [(row["dealt"], row["devices"]) for row in here] == [(d, n) for d in ("in order", "by size") for n in (1, 2)]
     for row in here:
         assert row["measured_s"] > 0
         assert row["step_s"] == pytest.approx(row["compute_s"] + row["waiting_s"] + row["communication_s"])
@@ -29,6 +29,8 @@ def test_the_model_is_checked_here_and_asked_about_clusters(tmp_path):
     assert len(clusters) == 2
     for name in clusters:
         # two scenes of two views divide among two devices at most; and then as many devices as there are scenes
-        sizes = [(row["devices"], row["images_per_step"]) for row in rows if row["trained_on"] == name]
-        assert sizes == [(1, 4), (2, 4), (1, 2), (2, 4), (8, 16)]
+        for dealt in ("in order", "by size"):
+            theirs = [row for row in rows if (row["trained_on"], row["dealt"]) == (name, dealt)]
+            sizes = [(row["devices"], row["images_per_step"]) for row in theirs]
+            assert sizes == [(1, 4), (2, 4), (1, 2), (2, 4), (8, 16)]
     assert (tmp_path / "scaling.csv").read_text().count("\n") == 1 + len(rows)

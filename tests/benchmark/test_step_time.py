@@ -6,8 +6,12 @@ import numpy as np
 import pytest
 
 from rfpp.benchmark.step_time import BACKWARD_SHARE, Cluster, Work, all_reduce_seconds, slowest_share, step_time
+from rfpp.training.dealing import BySize, Dealing, InOrder
 
-WORK = Work(scene_flops=np.full(10, 3e12), gradient_bytes=8e8, scenes=16, scenes_at_once=None, views=2)
+WORK = Work(
+    triangles=np.full(10, 100), scene_flops=np.full(10, 3e12), gradient_bytes=8e8, scenes=16, scenes_at_once=None,
+    dealing=InOrder(), views=2,
+)  # fmt: skip
 CLUSTER = Cluster(
     devices_per_node=8, flops_per_second=1e12, seconds_per_batch=0.5, device_bandwidth=1e11, node_bandwidth=1e10,
     latency=0.0, bucket_bytes=0.0, overlap=0.0, images_per_second=100.0,
@@ -30,16 +34,30 @@ def test_what_a_device_cannot_hold_comes_after_at_the_price_of_a_batch_each():
     assert step_time(CLUSTER, replace(WORK, scenes_at_once=3), 4).compute == pytest.approx(4 * 3 + 2 * 0.5)
 
 
-def test_the_slowest_of_two_devices_is_late_by_what_chance_says():
+def late(sizes: np.ndarray, devices: int, share: int, dealing: Dealing) -> float:
+    """How late the slowest device is where triangles and operations are the same."""
+    work = replace(WORK, triangles=sizes, scene_flops=sizes.astype(float), scenes=devices * share, dealing=dealing)
+    return slowest_share(work, devices)
+
+
+@pytest.mark.parametrize("dealing", [InOrder(), BySize()])
+def test_the_slowest_of_two_devices_is_late_by_what_chance_says(dealing):
     """One scene each, 1 or 3 with even chances: the maximum's mean is 2.5 where the mean is 2."""
-    assert slowest_share(np.array([1.0, 3.0]), devices=2, share=1) == pytest.approx(1.25, abs=0.02)
+    assert late(np.array([1, 3]), 2, 1, dealing) == pytest.approx(1.25, abs=0.02)
+
+
+def test_dealing_by_size_leaves_what_cannot_be_divided():
+    """Two scenes each, 1 or 3 with even chances: an odd number of large ones, every other time, is 1 over the mean."""
+    assert late(np.array([1, 3]), 2, 2, BySize()) == pytest.approx(4.5 / 4, abs=0.02)
+    assert late(np.array([1, 3]), 2, 2, InOrder()) == pytest.approx(4.75 / 4, abs=0.02)
 
 
 def test_more_scenes_on_a_device_even_out_and_more_devices_do_not():
-    scenes = np.random.default_rng(0).uniform(1, 8, 100)
-    late = {(n, share): slowest_share(scenes, n, share) for n in (2, 8, 32) for share in (1, 4)}
-    assert 1 < late[2, 1] < late[8, 1] < late[32, 1] < 8 / 4.5 + 0.05
-    assert all(late[n, 4] < late[n, 1] for n in (2, 8, 32))
+    scenes = np.random.default_rng(0).integers(1000, 8000, 100)
+    by_chance = {(n, share): late(scenes, n, share, InOrder()) for n in (2, 8, 32) for share in (1, 4)}
+    assert 1 < by_chance[2, 1] < by_chance[8, 1] < by_chance[32, 1] < 8 / 4.5 + 0.05
+    assert all(by_chance[n, 4] < by_chance[n, 1] for n in (2, 8, 32))
+    assert all(late(scenes, n, 4, BySize()) < 1 + 0.2 * (by_chance[n, 4] - 1) for n in (2, 8, 32))
 
 
 def test_a_ring_moves_each_byte_nearly_twice():

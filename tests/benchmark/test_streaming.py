@@ -15,6 +15,7 @@ from rfpp.shards.cache import ShardCache
 from rfpp.shards.manifest import Manifest
 from rfpp.shards.stream import ShardSplit
 from rfpp.training.datamodule import SceneDataModule
+from rfpp.training.dealing import InOrder
 
 
 @pytest.fixture
@@ -25,8 +26,8 @@ def invented():
 def datamodule(root, workers):
     return SceneDataModule(
         root=root, workers=workers, cache=ShardCache("unused", 1), gbuffer_channels=("albedo",), scenes_per_step=2,
-        scenes_per_device=None, views_per_scene=2, training_scenes=None, validation_scenes=1, shuffle_shards=4,
-        skip_corrupt=False, rigid_augmentation=None, colour_augmentation=None, seed=0,
+        scenes_per_device=None, dealing=InOrder(), views_per_scene=2, training_scenes=None, validation_scenes=1,
+        shuffle_shards=4, skip_corrupt=False, rigid_augmentation=None, colour_augmentation=None, seed=0,
     )  # fmt: skip
 
 

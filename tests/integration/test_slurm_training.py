@@ -1,5 +1,6 @@
 """Training under Slurm: two nodes, told to stop, requeued, and in the end the weights of a run that never stopped."""
 
+import subprocess
 import sys
 from pathlib import Path
 
@@ -15,16 +16,21 @@ REPOSITORY = Path(__file__).resolve().parents[2]
 RUN = ("steps=12", "trainer.val_check_interval=5", "datamodule.workers=1", "+callbacks.skewed._target_=skewed.Skewed")
 
 
-def submitted(slurm, folder: Path) -> tuple[str, Path, Path]:
-    """A job of two ranks on two nodes, the second behind the first; returns its number, its data, its run folder."""
+def submitted(slurm, folder: Path, *options: str, run: tuple[str, ...] = RUN) -> tuple[str, Path, Path]:
+    """A job of two ranks on two nodes, the second behind the first; returns its number, its data, its run folder.
+
+    Args:
+        options: of sbatch, before those of launch/slurm/train.sbatch.
+        run: what is trained.
+    """
     data = Path(make(folder / "data" / "small", splits={"train": 7, "validation": 2}).root)
-    environment = {"PYTHON": sys.executable, "PYTHONPATH": REPOSITORY / "tests"}
+    environment = {"PYTHON": sys.executable, "PYTHONPATH": f"{REPOSITORY}:{REPOSITORY}/tests"}
     # Lightning's port follows from the job's number, which another Slurm on this machine may have given too
     environment |= {"MASTER_ADDR": "127.0.0.1", "MASTER_PORT": free_ports(1)[0]}
     job = slurm.submit(
         "--nodes=2", "--ntasks-per-node=1", "--cpus-per-task=1", "--gpus-per-node=0", f"--output={folder}/log",
         "--export=ALL,OMP_NUM_THREADS=1," + ",".join(f"{key}={value}" for key, value in environment.items()),
-        "launch/slurm/train.sbatch", *SETTINGS, *RUN, "trainer.strategy=ddp", f"data.root={data}",
+        *options, "launch/slurm/train.sbatch", *SETTINGS, *run, "trainer.strategy=ddp", f"data.root={data}",
         f"run_dir={folder}/${{oc.env:RFPP_RUN}}", f"logger.folder={folder}", cwd=REPOSITORY,
     )  # fmt: skip
     return job, data, folder / f"slurm-{job}"
@@ -48,6 +54,22 @@ def test_a_preempted_and_a_killed_job_are_requeued_and_go_on(slurm, tmp_path):
     assert ended["global_step"] == 12
     assert len(ended["random_states"]) == 2
     assert differing(ended, train(tmp_path / "uninterrupted", data, *RUN, ranks=2)) == []
+
+
+@requires_slurm
+def test_slurm_says_itself_when_time_is_running_out(slurm, tmp_path):
+    """Its clock has a resolution of half a minute: two minutes less one and a half, or less one."""
+    run = ("steps=190", "trainer.val_check_interval=190", *RUN[2:])  # a minute at least
+    job, _, run_dir = submitted(slurm, tmp_path, "--time=2", "--signal=SIGUSR1@60", run=run)
+    slurm.wait_for(job, "PENDING")  # again: requeued
+    subprocess.run(["scontrol", "update", f"JobId={job}", "TimeLimit=10"], check=True)
+    assert slurm.wait(job) == ["COMPLETED"], (tmp_path / "log").read_text()
+    log = (tmp_path / "log").read_text()
+    [stopped] = [line for line in log.splitlines() if "stopped by SIGUSR1" in line]
+    assert stopped.endswith(f"of 190: job {job} is requeued")
+    step = int(stopped.split("after step ")[1].split()[0])
+    assert f"Goes on from {step_file(run_dir / 'checkpoints', step)}" in "".join(log.splitlines())
+    assert torch.load(run_dir / "checkpoints" / "last.ckpt", weights_only=True)["global_step"] == 190
 
 
 @requires_slurm

@@ -127,6 +127,29 @@ def test_ranks_stop_together_when_one_is_told_to_and_say_how_to_go_on(folder, da
     assert differing(ended, two_ranks) == []
 
 
+def test_control_c_saves_and_the_same_command_goes_on(folder, data, uninterrupted):
+    run_dir = folder / "control-c"
+    (process,) = start(run_dir, data, *RUN, *PRECISIONS["bf16"])
+    wait_for_step(run_dir, 2)
+    os.kill(process.pid, signal.SIGINT)
+    assert finish([process]) == [128 + signal.SIGINT], output(run_dir)
+    stopped_at = last(run_dir)["global_step"]
+    assert 2 <= stopped_at < STEPS
+    said = f"stopped by SIGINT after step {stopped_at} of {STEPS}: the same command with run_dir={run_dir} goes on"
+    assert said in output(run_dir)
+    assert differing(train(run_dir, data, *RUN, *PRECISIONS["bf16"]), last(uninterrupted["bf16"])) == []
+
+
+def test_ranks_agree_on_checkpoints_by_time(folder, data):
+    """The first rank's clock decides for the second, too, which else would wait for it in a save, or it for that."""
+    run_dir = folder / "by-time"
+    by_time = ("callbacks.checkpoints.every_n_steps=1000", "callbacks.checkpoints.every_n_minutes=1e-6")
+    by_time += ("callbacks.checkpoints.keep=100", "steps=40")
+    train(run_dir, data, *RUN, *PLAIN_DESCENT, *by_time, "+callbacks.skewed._target_=skewed.LateClock", ranks=2)
+    saved = len(step_files(run_dir / "checkpoints"))
+    assert 2 <= saved < 40  # as each takes longer than a twentieth of the steps before the next
+
+
 def test_a_loss_that_is_not_finite_stops_training_and_leaves_its_batch(folder, data):
     run_dir = folder / "exploding"
     settings = (*PLAIN_DESCENT, "optimizer.lr=1e30", "schedule.warmup_steps=1", "datamodule.scenes_per_device=2")

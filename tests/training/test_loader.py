@@ -4,6 +4,7 @@ import json
 import os
 import shutil
 import signal
+from dataclasses import dataclass
 from multiprocessing import active_children
 from pathlib import Path
 from types import SimpleNamespace
@@ -12,14 +13,18 @@ import lightning as L
 import numpy as np
 import pytest
 import torch
-from small_data import make
+import trimesh
+from small_data import BoxFamily, make
 from torch import nn
 
 from rfpp.errors import ShardError, UserError
+from rfpp.scene.mesh import Mesh
+from rfpp.scene.spec import SceneObject, Transform
 from rfpp.shards.cache import ShardCache
 from rfpp.shards.manifest import Manifest
 from rfpp.training.callbacks.skipped import SkippedScenes
 from rfpp.training.datamodule import SceneDataModule
+from rfpp.training.dealing import BySize, InOrder
 from rfpp.training.views import RigidAugmentation
 
 SCENES, PER_STEP, STEPS = 7, 4, 5  # two epochs and six scenes
@@ -35,7 +40,7 @@ def datamodule(root, rank: int = 0, ranks: int = 1, accumulate: int = 1, steps: 
     """A data module whose trainer is one of `ranks`."""
     settings = {
         "root": root, "cache": ShardCache("unused", 1.0), "gbuffer_channels": ("albedo",), "scenes_per_step": PER_STEP,
-        "scenes_per_device": None,
+        "scenes_per_device": None, "dealing": InOrder(),
         "views_per_scene": 1, "training_scenes": None, "validation_scenes": 1, "shuffle_shards": 2,
         "skip_corrupt": False, "rigid_augmentation": RigidAugmentation(1.0, 0.25), "colour_augmentation": None,
         "workers": 0, "seed": 5,
@@ -192,7 +197,7 @@ def test_a_missing_and_a_truncated_shard_are_left_out_too(root, tmp_path, uninte
     assert keys == [key for batch in uninterrupted for key, _ in batch if key not in gone]
 
 
-@pytest.mark.parametrize("name", ["SIGUSR1", "SIGTERM"])
+@pytest.mark.parametrize("name", ["SIGUSR1", "SIGTERM", "SIGINT"])
 def test_loader_processes_outlive_what_asks_training_to_stop(root, uninterrupted, name):
     """Slurm signals every process of a job; the ranks need their data until they have agreed and saved."""
     before = set(active_children())
@@ -202,6 +207,55 @@ def test_loader_processes_outlive_what_asks_training_to_stop(root, uninterrupted
     os.kill(worker.pid, signal.Signals[name])
     keys += [batch.keys for batch in loader]
     assert keys == [tuple(key for key, _ in batch) for batch in uninterrupted]
+
+
+@dataclass(frozen=True)
+class Grown(BoxFamily):
+    """Boxes of which every second scene has another thousand triangles."""
+
+    def sample(self, scene_rng, camera_rng, *, held_out):
+        scene = super().sample(scene_rng, camera_rng, held_out=held_out)
+        if scene_rng.random() < 0.5:
+            return scene
+        fine = trimesh.creation.icosphere(3, 0.1)
+        ball = {"mesh": Mesh(fine.vertices, fine.faces), "transform": Transform(normalize=False)}
+        ball = SceneObject(name="ball", material=scene.objects[0].material, **ball)
+        return scene.model_copy(update={"objects": (*scene.objects, ball)})
+
+
+@pytest.fixture(scope="module")
+def skewed(tmp_path_factory):
+    """Scenes of two sizes, in shards of four."""
+    folder = tmp_path_factory.mktemp("skewed") / "small"
+    return make(folder, Grown(), splits={"train": 12, "validation": 1}, scenes_per_shard=4).root
+
+
+def triangles_of_ranks(root, dealing, **how) -> np.ndarray:
+    """[ranks, steps]"""
+    loaders = [datamodule(root, rank, 2, dealing=dealing, **how).train_dataloader() for rank in (0, 1)]
+    return np.array([[len(batch.positions) for batch in loader] for loader in loaders])
+
+
+def test_sizes_in_the_index_balance_what_ranks_have_to_compute(skewed):
+    how = {"shuffle_shards": 3, "steps": 12, "seed": 1}
+    in_order, by_size = (triangles_of_ranks(skewed, dealing, **how) for dealing in (InOrder(), BySize()))
+    assert (in_order.sum(0) == by_size.sum(0)).all()
+    small, large = 7, 7 + 1280
+    scenes_over = (by_size.sum(0) - 4 * small) // (large - small) % 2  # an odd number of large ones cannot be halved
+    assert (np.abs(np.diff(by_size, axis=0))[0] == scenes_over * (large - small)).all()
+    assert np.abs(np.diff(in_order, axis=0)).sum() > np.abs(np.diff(by_size, axis=0)).sum()
+
+
+def test_without_its_index_a_shard_is_left_out_and_the_others_are_dealt(skewed, tmp_path):
+    bad = Path(shutil.copytree(skewed, tmp_path / "bad"))
+    (bad / "train-00000.json").unlink()
+    with pytest.raises(ShardError, match=r"train-00000\.json: the index cannot be read"):
+        triangles_of_ranks(bad, BySize())
+    how = {"dealing": BySize(), "steps": 3, "shuffle_shards": 3, "skip_corrupt": True}
+    loaders = [datamodule(bad, rank, 2, **how).train_dataloader() for rank in (0, 1)]
+    with pytest.warns(UserWarning, match="skipped"):
+        keys = [key for loader in loaders for batch in loader for key in batch.keys]
+    assert sorted(keys) == [f"train-{i:06d}" for i in range(4, 12)]
 
 
 def test_a_batch_with_nothing_left_is_an_error(root, tmp_path):

@@ -12,6 +12,7 @@ from rfpp.scene.triangles import DIFFUSE, EMISSION, SPECULAR
 from rfpp.shards import sample
 from rfpp.shards.order import ShuffledOrder
 from rfpp.shards.stream import ShardSplit
+from rfpp.training.dealing import BySize, Dealing, InOrder
 from rfpp.training.views import (
     AllViews,
     ColourPermutation,
@@ -94,29 +95,45 @@ def test_moved_rotates_normals_with_the_triangles(split):
     np.testing.assert_allclose(turned.triangles.normals[..., 1], views.triangles.normals[..., 0], atol=1e-6)
 
 
-def global_batches(**how) -> list[list[tuple[int, int]]]:
+def triangles_of(draw: tuple[int, int]) -> int:
+    return 2 ** draw[1]
+
+
+def global_batches(dealing: Dealing, **how) -> list[list[tuple[int, int]]]:
     order = ShuffledOrder([2, 3, 1], seed=1, window=2)
-    return list(GlobalBatches(order, **{"scenes_per_batch": 4, "batches": 6, **how}))
+    return list(GlobalBatches(order, dealing, triangles_of, **{"scenes_per_batch": 4, "batches": 6, **how}))
 
 
-def test_ranks_share_each_global_batch_and_epochs_are_complete():
-    whole = global_batches()
-    for ranks in (2, 4):
-        parts = [global_batches(rank=rank, ranks=ranks) for rank in range(ranks)]
-        assert whole == [list(chain.from_iterable(part[i] for part in parts)) for i in range(6)]
+DEALINGS = (InOrder(), BySize())
+
+
+@pytest.mark.parametrize("dealing", DEALINGS)
+def test_ranks_share_each_global_batch_and_epochs_are_complete(dealing):
+    whole = global_batches(dealing)
+    assert whole == global_batches(InOrder())
+    for ranks, accumulate in ((2, 1), (4, 1), (2, 2), (1, 2), (1, 4)):
+        parts = [global_batches(dealing, rank=rank, ranks=ranks, accumulate=accumulate) for rank in range(ranks)]
+        steps = [[part[i * accumulate : (i + 1) * accumulate] for part in parts] for i in range(6)]
+        assert {len(batch) for step in steps for part in step for batch in part} == {4 // (ranks * accumulate)}
+        dealt = [[draw for part in step for batch in part for draw in batch] for step in steps]
+        assert [sorted(step) for step in dealt] == [sorted(batch) for batch in whole]
+        assert dealt == whole or isinstance(dealing, BySize)
     draws = list(chain.from_iterable(whole))
     for epoch in range(4):
         assert sorted(index for e, index in draws if e == epoch) == list(range(6))
 
 
+@pytest.mark.parametrize("dealing", DEALINGS)
 @pytest.mark.parametrize("start", range(7))
-def test_a_run_that_goes_on_gives_the_rest_of_the_batches(start):
-    assert global_batches(start=start) == global_batches()[start:]
+def test_a_run_that_goes_on_gives_the_rest_of_the_batches(start, dealing):
+    for rank in (0, 1):
+        rest = global_batches(dealing, start=start, rank=rank, ranks=2)
+        assert rest == global_batches(dealing, rank=rank, ranks=2)[start:]
 
 
 def test_a_batch_that_does_not_divide_among_ranks_is_refused():
     with pytest.raises(ValueError, match="5 scenes per step do not divide among 2 ranks"):
-        global_batches(scenes_per_batch=5, ranks=2)
+        global_batches(InOrder(), scenes_per_batch=5, ranks=2)
 
 
 def test_a_training_draw_decodes_its_views_alone(split, monkeypatch):

@@ -1,8 +1,9 @@
-"""Checkpoints to go on from, at step boundaries: every so many steps, at the end, and when told to stop."""
+"""Checkpoints to go on from, at step boundaries: every so many steps or minutes, at the end, and when told to stop."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from time import monotonic
 
 import lightning as L
 from lightning.pytorch.callbacks import Checkpoint
@@ -10,7 +11,11 @@ from lightning.pytorch.utilities.types import STEP_OUTPUT
 
 from rfpp.batch import RaggedBatch
 from rfpp.training.checkpoints import keep_newest, point_at, step_file
-from rfpp.training.stopping import StoppedError, StopSignals
+from rfpp.training.signals import STOP_SIGNALS
+from rfpp.training.stopping import Agreement, StoppedError
+
+#: A checkpoint by time waits for so many times what the last one took: it may take a twentieth of the time.
+PATIENCE = 20
 
 
 class ResumableCheckpoints(Checkpoint):
@@ -22,16 +27,23 @@ class ResumableCheckpoints(Checkpoint):
     Args:
         folder: of the run's checkpoints.
         every_n_steps: how often; the last step is always saved.
+        every_n_minutes: how often at least, by the first rank's clock, unless saving takes so long that it would be
+            more than a twentieth of the time; None: never by time.
         keep: how many of the newest.
     """
 
-    def __init__(self, folder: str, every_n_steps: int, keep: int):
-        self.folder, self.every_n_steps, self.keep = Path(folder), every_n_steps, keep
-        self.signals = StopSignals()
+    def __init__(self, folder: str, every_n_steps: int, every_n_minutes: float | None, keep: int):
+        self.folder, self.keep = Path(folder), keep
+        self.every_n_steps, self.every_n_minutes = every_n_steps, every_n_minutes
 
     def on_train_start(self, trainer: L.Trainer, module: L.LightningModule) -> None:
-        self._saved = trainer.global_step
-        self.signals.watch()
+        self._saved, self._saved_at, self._took = trainer.global_step, monotonic(), 0.0
+        self._agreed = Agreement(trainer.world_size)
+        STOP_SIGNALS.watch()
+        received, _ = self._agreed(STOP_SIGNALS.take(), due=False)
+        if received and not trainer.fast_dev_run:  # while the program was starting
+            when = f"before step {self._saved + 1} of {trainer.max_steps}, with nothing to save"
+            raise StoppedError(f"stopped by {received.name} {when}", received)
 
     def on_train_batch_end(
         self, trainer: L.Trainer, module: L.LightningModule, outputs: STEP_OUTPUT, batch: RaggedBatch, batch_index: int
@@ -49,17 +61,24 @@ class ResumableCheckpoints(Checkpoint):
         if trainer.fast_dev_run:
             return
         step = trainer.global_step
-        received = self.signals.agreed(trainer.strategy)
-        due = step - self._saved >= self.every_n_steps or step == trainer.max_steps
+        received, due = self._agreed(STOP_SIGNALS.take(), trainer.is_global_zero and self._due_by_time())
+        due = due or step - self._saved >= self.every_n_steps or step == trainer.max_steps
         if step > self._saved and (due or received):
             self._save(trainer, step)
         if received and step < trainer.max_steps:
             raise StoppedError(f"stopped by {received.name} after step {step} of {trainer.max_steps}", received)
 
+    def _due_by_time(self) -> bool:
+        if self.every_n_minutes is None:
+            return False
+        return monotonic() - self._saved_at >= max(60 * self.every_n_minutes, PATIENCE * self._took)
+
     def _save(self, trainer: L.Trainer, step: int) -> None:
+        begin = monotonic()
         path = step_file(self.folder, step)
         trainer.save_checkpoint(path)
-        self._saved = step
         if trainer.is_global_zero:
             point_at(path, self.folder / "last.ckpt")
             keep_newest(self.folder, self.keep)
+        self._saved, self._saved_at = step, monotonic()
+        self._took = self._saved_at - begin
