@@ -32,7 +32,8 @@ STATE = ("state_dict", "optimizer_states", "lr_schedulers", "random_states", "cu
 def start(run_dir: Path, data: Path, *overrides: str, ranks: int = 1) -> list[BaseProcess]:
     """Start a training run of so many ranks; `run_dir`'s parent holds its tracking and the output of each rank."""
     everything = (
-        *SETTINGS, f"data.root={data}", f"run_dir={run_dir}", f"logger.folder={run_dir.parent}", *overrides,
+        *SETTINGS, f"data.root={data}", f"run_dir={run_dir}", *overrides,
+        *(() if "logger=none" in overrides else (f"logger.folder={run_dir.parent}",)),
         *((f"trainer.devices={ranks}", "trainer.strategy=ddp") if ranks > 1 else ()),
     )  # fmt: skip
     with socket.socket() as free:

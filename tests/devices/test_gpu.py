@@ -12,10 +12,19 @@ from fake_gpu import network_on
 from gpu_runs import compile_whole_blocks
 from marks import requires_gpu
 from network_variants import VARIANTS, batch_for, loss
+from small_data import make
+from training_runs import finish, start, train, wait_for_step
 
 from rfpp import Renderer, Scene
 from rfpp.batch import Segments
-from rfpp.model.attention import AttentionPattern, attend_bucketed, attend_loop, attend_varlen
+from rfpp.model.attention import (
+    DENSE_FROM,
+    AttentionPattern,
+    attend_bucketed,
+    attend_equal,
+    attend_loop,
+    attend_varlen,
+)
 from rfpp.training.blocks import RecomputedBlocks, RecomputedObjects
 
 
@@ -39,11 +48,11 @@ def relative(found: torch.Tensor, expected: torch.Tensor) -> float:
 
 @requires_gpu
 @pytest.mark.parametrize("dim", [64, 96, 128])
-@pytest.mark.parametrize("kind", ["self", "queries of objects", "views"])
+@pytest.mark.parametrize("kind", ["self", "queries of objects", "views", "rays"])
 def test_all_backends_agree_in_values_and_gradients(dim, kind):
     rng = np.random.default_rng(dim)
-    lengths = rng.integers(1, 700, 23).tolist()
-    queries = {"self": lengths, "queries of objects": [8] * 23, "views": [256] * 23}[kind]
+    lengths = [1024] * 3 if kind == "rays" else rng.integers(1, 700, 23).tolist()
+    queries = lengths if kind in ("self", "rays") else [8 if kind == "queries of objects" else 256] * 23
     patterns = {
         device: AttentionPattern(Segments.from_lengths(queries, device), Segments.from_lengths(lengths, device))
         for device in ("cpu", "cuda")
@@ -52,6 +61,9 @@ def test_all_backends_agree_in_values_and_gradients(dim, kind):
     on_gpu = [t.cuda() for t in qkv]
     expected = values_and_gradients(attend_loop, *[t.double() for t in qkv], patterns["cpu"])
     cases = {"varlen": (attend_varlen, on_gpu, 1e-2), "padded": (attend_bucketed, on_gpu, 1e-2)}
+    if kind == "rays":
+        assert patterns["cuda"].equal_length >= DENSE_FROM
+        cases["equal"] = (attend_equal, on_gpu, 1e-2)
     with exact_products():
         cases["padded, float32"] = (attend_bucketed, [t.float() for t in on_gpu], 1e-4)
         cases["loop, float32"] = (attend_loop, [t.float() for t in on_gpu], 1e-4)
@@ -136,3 +148,46 @@ def test_blocks_compile_without_a_break(in_process):
     differences, compilations = in_process(compile_whole_blocks, VARIANTS["paper"])
     assert max(differences) < 0.05
     assert compilations[-1] == compilations[1], "other numbers of tokens are compiled anew"
+
+
+#: Where summing in another order, as a GPU does from run to run, is not magnified as Adam does with small gradients.
+ON_GPU = (
+    "logger=none", "trainer.accelerator=gpu", "size.width=64", "steps=8", "trainer.val_check_interval=4",
+    "optimizer._target_=torch.optim.SGD", "optimizer.lr=0.3", "trainer.precision=32-true",
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory):
+    return make(tmp_path_factory.mktemp("data") / "small", splits={"train": 7, "validation": 2}).root
+
+
+@pytest.fixture(scope="module")
+def uninterrupted(data, tmp_path_factory) -> torch.Tensor:
+    return weights(train(tmp_path_factory.mktemp("runs") / "whole", data, *ON_GPU))
+
+
+def weights(checkpoint: dict) -> torch.Tensor:
+    return torch.cat([w.flatten().cpu() for name, w in sorted(checkpoint["state_dict"].items())])
+
+
+@requires_gpu
+def test_a_killed_run_goes_on_where_it_was(data, uninterrupted, tmp_path):
+    begun = start(tmp_path / "killed", data, *ON_GPU)
+    wait_for_step(tmp_path / "killed", 3)
+    for process in begun:
+        process.kill()
+    finish(begun)
+    resumed = train(tmp_path / "killed", data, *ON_GPU)
+    assert resumed["global_step"] == 8
+    assert relative(weights(resumed), uninterrupted) < 1e-5
+
+
+@requires_gpu
+@pytest.mark.parametrize("ranks", [1, 2])
+def test_processes_of_nccl_train_as_one_without(ranks, data, uninterrupted, tmp_path):
+    if torch.cuda.device_count() < ranks:
+        pytest.skip(f"fewer than {ranks} GPUs")
+    strategy = () if ranks > 1 else ("trainer.strategy=ddp",)
+    trained = train(tmp_path / "nccl", data, *ON_GPU, *strategy, ranks=ranks)
+    assert relative(weights(trained), uninterrupted) < 1e-5
