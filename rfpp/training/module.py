@@ -16,6 +16,7 @@ from rfpp.batch import RaggedBatch
 from rfpp.inference.checkpoint import CHECKPOINT_KEY, CheckpointInfo
 from rfpp.losses.rendering import RenderingLoss
 from rfpp.metrics.image import ImageMetrics
+from rfpp.model.block import CrossAttention, SelfAttention, SwiGLU
 from rfpp.model.renderformer_pp import Rendering
 from rfpp.radiance import log_decode
 
@@ -93,8 +94,17 @@ class RenderingModule(L.LightningModule):
         ).to_dict()
 
 
+#: Says of a parameter group whether it holds the matrices of hidden layers, which some optimizers treat otherwise.
+HIDDEN = "hidden"
+
+
 def decay_groups(network: nn.Module) -> list[dict]:
-    """Two parameter groups: weight decay (the optimizer's) for matrices, none for norms, biases and tokens."""
-    matrices = [p for p in network.parameters() if p.ndim >= 2]
-    others = [p for p in network.parameters() if p.ndim < 2]
-    return [{"params": matrices}, {"params": others, "weight_decay": 0.0}]
+    """Weight decay (the optimizer's) for matrices, those of hidden layers in a group of their own; none for others."""
+    layers = [part for part in network.modules() if isinstance(part, SelfAttention | CrossAttention | SwiGLU)]
+    hidden = {p for layer in layers for p in layer.parameters() if p.ndim == 2}
+    parameters = list(network.parameters())
+    return [
+        {"params": [p for p in parameters if p in hidden], HIDDEN: True},
+        {"params": [p for p in parameters if p.ndim >= 2 and p not in hidden]},
+        {"params": [p for p in parameters if p.ndim < 2], "weight_decay": 0.0},
+    ]

@@ -32,10 +32,12 @@ def machine_tags() -> dict[str, str]:
 def code_version() -> str | None:
     """The commit of this checkout, with `-dirty` when files differ from it; None outside a repository.
 
-    A copy without one, in a container say, is told by RFPP_COMMIT.
+    A copy that is no clone, in a container say, is told by RFPP_COMMIT.
     """
+    if told := os.environ.get("RFPP_COMMIT"):
+        return told
     described = _git("describe", "--always", "--dirty", "--abbrev=12", "--exclude=*")
-    return os.environ.get("RFPP_COMMIT") if described is None else described.strip()
+    return None if described is None else described.strip()
 
 
 def code_changes() -> str:

@@ -1,0 +1,68 @@
+"""Muon for the matrices of hidden layers, AdamW for all else, as one optimizer."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import torch
+from torch import Tensor
+from torch.optim import AdamW, Muon, Optimizer
+
+from rfpp.training.module import HIDDEN
+
+
+class MuonWithAdamW(Optimizer):
+    """Hidden layers step along the orthogonalised momentum of their gradients (Jordan et al. 2024, "Muon").
+
+    What the layers read from and write to, and everything that is no matrix, is left to AdamW, as the method's authors
+    advise. Muon's step is scaled to the root mean square of AdamW's (Liu et al. 2025, "Muon is scalable for LLM
+    training"), so that one learning rate and one decay serve both. Layers that are stacked in one parameter (queries,
+    keys and values; gate and value) are orthogonalised as the one matrix that they are stored as.
+
+    Args:
+        groups: of parameters, see `rfpp.training.module.decay_groups`.
+        lr, weight_decay: of both.
+        momentum: of Muon.
+        betas: of AdamW.
+        fused: AdamW in one kernel.
+    """
+
+    def __init__(
+        self,
+        groups: Iterable[dict[str, Any]],
+        lr: float,
+        weight_decay: float,
+        momentum: float,
+        betas: tuple[float, float],
+        fused: bool,
+    ):
+        groups = list(groups)
+        hidden = [group for group in groups if group.get(HIDDEN)]
+        others = [group for group in groups if not group.get(HIDDEN)]
+        muon = Muon(hidden, lr=lr, weight_decay=weight_decay, momentum=momentum, adjust_lr_fn="match_rms_adamw")
+        adam = AdamW(others, lr=lr, weight_decay=weight_decay, betas=tuple(betas), fused=fused)
+        super().__init__([*muon.param_groups, *adam.param_groups], {})
+        self._parts = muon, adam
+        self._share()
+
+    def _share(self) -> None:
+        """One state and one list of groups, of which each part sees its own."""
+        for part in self._parts:
+            mine = [group for group in self.param_groups if bool(group.get(HIDDEN)) == isinstance(part, Muon)]
+            part.param_groups, part.state = mine, self.state
+
+    @torch.no_grad()
+    def step(self, closure: Callable[[], Tensor] | None = None) -> Tensor | None:
+        """Of both. `closure`, where given, computes loss and gradients first."""
+        loss = None
+        if closure is not None:
+            with torch.enable_grad():
+                loss = closure()
+        for part in self._parts:
+            part.step()
+        return loss
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        super().load_state_dict(state_dict)
+        self._share()
