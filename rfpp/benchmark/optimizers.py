@@ -124,7 +124,7 @@ class _Batches:
     """Batches of training draws, one after the other."""
 
     def __init__(self, data: Mapping[str, Any], network: RenderFormerPP, steps: int, seed: int) -> None:
-        split = ShardSplit(data["root"], "train")
+        split = ShardSplit(data["root"], "train", require_all=not data["skip_corrupt"])
         sizes = leading(split.sizes, data["training_scenes"] or len(split))
         self.scenes = sum(sizes)
         self._views = TrainingViews(
