@@ -123,6 +123,16 @@ def test_ranks_share_each_global_batch_and_epochs_are_complete(dealing):
         assert sorted(index for e, index in draws if e == epoch) == list(range(6))
 
 
+def test_ranks_are_balanced_however_they_accumulate():
+    """Dealt to all parts at once, one rank could get all the large ones."""
+    at_once = [global_batches(BySize(), rank=rank, ranks=2) for rank in (0, 1)]
+    one_by_one = [global_batches(BySize(), rank=rank, ranks=2, accumulate=2) for rank in (0, 1)]
+    for whole, singles in zip(at_once, one_by_one, strict=True):
+        assert [sorted(batch) for batch in whole] == [
+            sorted(a + b) for a, b in zip(singles[::2], singles[1::2], strict=True)
+        ]
+
+
 @pytest.mark.parametrize("dealing", DEALINGS)
 @pytest.mark.parametrize("start", range(7))
 def test_a_run_that_goes_on_gives_the_rest_of_the_batches(start, dealing):
