@@ -194,6 +194,7 @@ class _ArrayUnpickler(pickle.Unpickler):
     _ALLOWED = MappingProxyType(
         {
             ("numpy.core.multiarray", "_reconstruct"): np.empty(0).__reduce__()[0],
+            ("numpy._core.multiarray", "_reconstruct"): np.empty(0).__reduce__()[0],  # by the name it has in NumPy 2
             ("numpy", "ndarray"): np.ndarray,
             ("numpy", "dtype"): np.dtype,
         }

@@ -29,8 +29,15 @@ def wheel(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def installed(wheel, tmp_path_factory):
-    """`installed(*arguments)`: what the command `rfpp` prints in an empty folder, which is `installed.folder`."""
-    site, empty = tmp_path_factory.mktemp("site"), tmp_path_factory.mktemp("empty")
+    """`installed(*arguments)`: what the command `rfpp` prints in an empty folder, `installed.folder`.
+
+    The package is in `installed.site`.
+    """
+    project = tmp_path_factory.mktemp("project")  # another one's, as an environment often lies in one
+    site, empty = project / "site", project / "empty"
+    empty.mkdir()
+    for verb in (["init"], ["-c", "user.name=a", "-c", "user.email=a@b", "commit", "--allow-empty", "-m", "theirs"]):
+        subprocess.run(["git", "-C", str(project), *verb, "--quiet"], check=True)
     pip("install", "--target", str(site), str(wheel))
 
     def run(*arguments: str, code: int = 0) -> str:
@@ -42,7 +49,7 @@ def installed(wheel, tmp_path_factory):
         assert done.returncode == code, done.stdout + done.stderr
         return done.stdout + done.stderr
 
-    run.folder = empty
+    run.folder, run.site = empty, site
     return run
 
 
@@ -88,3 +95,11 @@ def test_a_command_finds_its_configuration(installed):
 
 def test_an_unknown_command_is_one_line(installed):
     assert installed("trian", code=1).startswith("error: rfpp trian: no such command: choose from benchmark, ")
+
+
+def test_another_projects_commit_is_not_taken_for_its_own(installed):
+    asked = "from rfpp.training.tracking import code_version; print(code_version())"
+    command = [sys.executable, "-c", asked]
+    environment = os.environ | {"PYTHONPATH": str(installed.site)}
+    said = subprocess.run(command, cwd=installed.folder, env=environment, capture_output=True, text=True, check=True)
+    assert said.stdout == "None\n"

@@ -17,6 +17,7 @@ from mlflow import MlflowClient
 from rfpp.errors import UserError
 from rfpp.training.tracking.__main__ import main as send
 from rfpp.training.tracking.journal import Journal, records
+from rfpp.training.tracking.local import LocalLogger
 from rfpp.training.tracking.logger import RunFolderLogger
 
 
@@ -271,3 +272,16 @@ def _png(path):
     path.parent.mkdir(parents=True, exist_ok=True)
     Image.new("RGB", (4, 4)).save(path)
     return path
+
+
+def test_a_run_that_began_without_mlflow_goes_on_with_it(store):
+    first = LocalLogger("run", store / "run")
+    first.log_metrics({"loss": 2.0}, 0)
+    first.log_hyperparams({"x": 1})
+    first.finalize("success")
+    again = logger(store)
+    again.log_metrics({"loss": 1.0}, 1)
+    again.finalize("success")
+    (run,) = runs(store)
+    assert history(store, run.info.run_id, "loss") == [(0, 2.0), (1, 1.0)]
+    assert run.data.params == {"x": "1"}

@@ -8,6 +8,8 @@ import subprocess
 from pathlib import Path
 from typing import Any
 
+from rfpp.folders import is_installed
+
 #: How Slurm calls a job, and the tag for it.
 SLURM_TAGS = {"SLURM_JOB_ID": "slurm_job_id", "SLURM_ARRAY_TASK_ID": "slurm_array_task_id"}
 
@@ -46,7 +48,9 @@ def code_changes() -> str:
 
 
 def _git(*arguments: str) -> str | None:
-    """What git prints about this checkout; None outside a repository."""
+    """What git prints about this checkout; None outside a repository, and where only another project's is around."""
+    if is_installed():
+        return None
     try:
         done = subprocess.run(
             ["git", *arguments], cwd=Path(__file__).parent, capture_output=True, encoding="utf-8", check=True
