@@ -24,7 +24,7 @@ from rfpp.model.renderformer_pp import RenderFormerPP
 from rfpp.training.flops import matrix_product_rate, published_peak
 
 #: What a table must have to be gone on with.
-_NEEDED = {"task", "network", "size", "compiled", "triangles", "quantity", "status", "seconds", "device_name", "torch"}
+NEEDED = {"task", "network", "size", "compiled", "triangles", "quantity", "status", "seconds", "device_name", "torch"}
 
 
 @dataclass(frozen=True)
@@ -121,7 +121,7 @@ def measure(
     for name, there in (("task", tasks), ("network", networks)):
         if absent := {getattr(m, name) for m in wanted} - there.keys():
             raise UserError(f"benchmark.groups names {name} {', '.join(absent)}: there are {', '.join(there)}")
-    known = read_rows(Path(finished), _NEEDED, "gpu") if finished and Path(finished).exists() else []
+    known = read_rows(Path(finished), NEEDED, "gpu") if finished and Path(finished).exists() else []
     yield from known
     setting.apply()
     device = torch.device(setting.where)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -72,14 +73,16 @@ def measure(
             yield {"optimizer": name, "lr": cfg["optimizer"]["lr"], "seed": seed, **row}
 
 
-class RememberedSplit:
+class RememberedSplit(ShardSplit):
     """Stored scenes that are decoded once, for networks that are faster than decoding."""
 
-    def __init__(self, split: ShardSplit, channels: Collection[str], scenes: int) -> None:
-        self._samples = [split.read(index, None, channels) for index in range(scenes)]
+    @cached_property
+    def _samples(self) -> dict[int, SceneSample]:
+        return {}
 
     def read(self, index: int, choose: ViewChoice, channels: Collection[str]) -> SceneSample:
-        """As `ShardSplit.read`."""
+        if index not in self._samples:
+            self._samples[index] = super().read(index, None, channels)
         whole = self._samples[index]
         views = list(choose(len(whole.fov)))
         of_views = {name: getattr(whole, name)[views] for name in ("c2w", "fov", "images")}
@@ -124,11 +127,13 @@ class _Batches:
     """Batches of training draws, one after the other."""
 
     def __init__(self, data: Mapping[str, Any], network: RenderFormerPP, steps: int, seed: int) -> None:
-        split = ShardSplit(data["root"], "train", require_all=not data["skip_corrupt"])
+        split = RememberedSplit(data["root"], "train", require_all=not data["skip_corrupt"])
         sizes = leading(split.sizes, data["training_scenes"] or len(split))
         self.scenes = sum(sizes)
+        for index in range(self.scenes):  # now: decoding is no training
+            split.read(index, range, network.gbuffer_channels)
         self._views = TrainingViews(
-            RememberedSplit(split, network.gbuffer_channels, self.scenes), network.gbuffer_channels,
+            split, network.gbuffer_channels,
             data["views_per_scene"], *(instantiate(data[f"{name}_augmentation"]) for name in ("rigid", "colour")), seed,
         )  # fmt: skip
         order = ShuffledOrder(sizes, seed, data["shuffle_shards"])

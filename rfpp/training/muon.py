@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import torch
@@ -34,7 +34,7 @@ class MuonWithAdamW(Optimizer):
         lr: float,
         weight_decay: float,
         momentum: float,
-        betas: tuple[float, float],
+        betas: Sequence[float],
         fused: bool,
     ):
         groups = list(groups)

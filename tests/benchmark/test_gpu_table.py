@@ -1,0 +1,54 @@
+"""The table of a GPU machine for reading, and that README's is the one of the committed rows."""
+
+import csv
+
+import pytest
+
+from rfpp.benchmark.cost_rows import read_rows
+from rfpp.benchmark.gpu import NEEDED
+from rfpp.benchmark.gpu_table import BEGIN, END, insert, main, table
+from rfpp.entry import CONFIG_DIR
+from rfpp.errors import UserError
+
+ROOT = CONFIG_DIR.parent
+
+
+def row(network, seconds, memory, **changes):
+    return {
+        "quantity": "training_step", "size": "base", "compiled": "False", "triangles": "1000", "objects": "5",
+        "views": "1", "resolution": "64", "scenes": "1", "network": network, "seconds": seconds, "peak_GB": memory,
+        "status": "ok" if seconds else "out of memory", "device_name": "a card", "torch": "2", "commit": "c0ffee",
+    } | changes  # fmt: skip
+
+
+def test_both_networks_stand_in_a_line_with_what_one_is_worth():
+    made = table([row("renderformer", "0.3", "10"), row("rfpp", "0.1", "4")])
+    assert "| training step | 1,000 | 64² | 300 ms, 10.0 GB | 100 ms, 4.0 GB | 3.0 × | −60% |" in made
+    assert "a card" in made and "c0ffee" in made
+
+
+def test_what_did_not_fit_has_no_ratio():
+    made = table([row("renderformer", "", ""), row("rfpp", "0.1", "4")])
+    assert "| out of memory | 100 ms, 4.0 GB |  |  |" in made
+
+
+def test_other_sizes_are_not_compared():
+    with pytest.raises(UserError, match="nothing was measured of both"):
+        table([row("renderformer", "0.3", "10"), row("rfpp", "0.1", "4", triangles="2000")])
+
+
+def test_the_table_goes_where_its_marks_are(tmp_path):
+    text = insert(f"before\n{BEGIN}\nold\n{END}\nafter", "new")
+    assert "old" not in text and text.startswith("before") and text.endswith("after") and "new" in text
+    with pytest.raises(UserError, match="no place"):
+        insert("no marks", "new")
+
+
+def test_readme_s_table_is_that_of_the_committed_rows(tmp_path):
+    rows, readme = ROOT / "data" / "results" / "gpu.csv", ROOT / "README.md"
+    copy = tmp_path / "README.md"
+    copy.write_bytes(readme.read_bytes())
+    main([str(rows), "--into", str(copy)])
+    assert copy.read_text() == readme.read_text(), "make it again with rfpp.benchmark.gpu_table"
+    assert all(float(r["of_peak"]) < 1 for r in csv.DictReader(rows.open()) if r["of_peak"])
+    assert len(read_rows(rows, NEEDED, "gpu")) > 50
