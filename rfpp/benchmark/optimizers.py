@@ -42,7 +42,8 @@ def measure(
 ) -> Iterator[Row]:
     """Trains each network anew: rows of its mean log-L1 on unseen scenes every so many steps.
 
-    `seconds` are of training, data from memory: nothing is rendered, tracked or saved, and LPIPS is left out.
+    `seconds` are of training with all that a step takes, views drawn from scenes in memory in the same process: nothing
+    is tracked or saved, and LPIPS is left out.
 
     Args:
         compose: overrides → training's configuration.
@@ -57,8 +58,8 @@ def measure(
     """
     begin = time.monotonic()
     known = read_rows(Path(finished), _NEEDED, "optimizers") if finished and Path(finished).exists() else []
-    yield from known
     ended = {(row["optimizer"], int(row["seed"])) for row in known if row["step"] == row["steps"]}
+    yield from (row for row in known if (row["optimizer"], int(row["seed"])) in ended)
     missing = [(name, seed) for seed in seeds for name in runs if (name, seed) not in ended]
     setting.apply()
     scenes: dict[str, Any] = {}

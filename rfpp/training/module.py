@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -13,6 +13,7 @@ from torch.optim import Optimizer
 from torch.optim.lr_scheduler import LRScheduler
 
 from rfpp.batch import RaggedBatch
+from rfpp.errors import UserError
 from rfpp.inference.checkpoint import CHECKPOINT_KEY, CheckpointInfo
 from rfpp.losses.rendering import RenderingLoss
 from rfpp.metrics.image import ImageMetrics
@@ -88,23 +89,33 @@ class RenderingModule(L.LightningModule):
         norm = torch.nn.utils.clip_grad_norm_(self.network.parameters(), gradient_clip_val or float("inf"))
         self.log("train/gradient_norm", norm)
 
+    def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
+        """Raises UserError where the state to go on from is another optimizer's."""
+        (state,) = checkpoint["optimizer_states"]
+        if _shape(state["param_groups"]) != _shape(self._optimizer(decay_groups(self.network)).param_groups):
+            raise UserError(
+                "the run to resume had another optimizer: set it so, or start anew from its weights (initial_weights)"
+            )
+
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
         checkpoint[CHECKPOINT_KEY] = replace(
             self.info, steps=self.global_step, mlflow_run_id=getattr(self.logger, "run_id", None)
         ).to_dict()
 
 
-#: Says of a parameter group whether it holds the matrices of hidden layers, which some optimizers treat otherwise.
+#: Key of a parameter group: of each parameter, whether it is a matrix of a hidden layer; some optimizers ask.
 HIDDEN = "hidden"
 
 
 def decay_groups(network: nn.Module) -> list[dict]:
-    """Weight decay (the optimizer's) for matrices, those of hidden layers in a group of their own; none for others."""
+    """Two parameter groups: weight decay (the optimizer's) for matrices, none for norms, biases and tokens."""
     layers = [part for part in network.modules() if isinstance(part, SelfAttention | CrossAttention | SwiGLU)]
     hidden = {p for layer in layers for p in layer.parameters() if p.ndim == 2}
-    parameters = list(network.parameters())
-    return [
-        {"params": [p for p in parameters if p in hidden], HIDDEN: True},
-        {"params": [p for p in parameters if p.ndim >= 2 and p not in hidden]},
-        {"params": [p for p in parameters if p.ndim < 2], "weight_decay": 0.0},
-    ]
+    matrices = [p for p in network.parameters() if p.ndim >= 2]
+    others = [p for p in network.parameters() if p.ndim < 2]
+    return [{"params": matrices, HIDDEN: [p in hidden for p in matrices]}, {"params": others, "weight_decay": 0.0}]
+
+
+def _shape(groups: Sequence[Mapping[str, Any]]) -> list[tuple[int, bool]]:
+    """What optimizers' states must agree in: parameters of each group, and whether it is stepped by momentum alone."""
+    return [(len(group["params"]), "betas" in group) for group in groups]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import torch
@@ -37,9 +37,7 @@ class MuonWithAdamW(Optimizer):
         betas: Sequence[float],
         fused: bool,
     ):
-        groups = list(groups)
-        hidden = [group for group in groups if group.get(HIDDEN)]
-        others = [group for group in groups if not group.get(HIDDEN)]
+        hidden, others = _divided(groups)
         muon = Muon(hidden, lr=lr, weight_decay=weight_decay, momentum=momentum, adjust_lr_fn="match_rms_adamw")
         adam = AdamW(others, lr=lr, weight_decay=weight_decay, betas=tuple(betas), fused=fused)
         super().__init__([*muon.param_groups, *adam.param_groups], {})
@@ -49,7 +47,7 @@ class MuonWithAdamW(Optimizer):
     def _share(self) -> None:
         """One state and one list of groups, of which each part sees its own."""
         for part in self._parts:
-            mine = [group for group in self.param_groups if bool(group.get(HIDDEN)) == isinstance(part, Muon)]
+            mine = [group for group in self.param_groups if ("betas" in group) == isinstance(part, AdamW)]
             part.param_groups, part.state = mine, self.state
 
     @torch.no_grad()
@@ -66,3 +64,16 @@ class MuonWithAdamW(Optimizer):
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         super().load_state_dict(state_dict)
         self._share()
+
+
+def _divided(groups: Iterable[Mapping[str, Any]]) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+    """Groups of the matrices of hidden layers, and of all other parameters; each with its group's settings."""
+    divided: tuple[list[dict[str, Any]], list[dict[str, Any]]] = ([], [])
+    for group in groups:
+        settings = {name: value for name, value in group.items() if name not in ("params", HIDDEN)}
+        flags = group.get(HIDDEN, [False] * len(group["params"]))
+        for into, wanted in zip(divided, (True, False), strict=True):
+            chosen = [p for p, hidden in zip(group["params"], flags, strict=True) if hidden == wanted]
+            if chosen:
+                into.append({**settings, "params": chosen})
+    return divided

@@ -42,6 +42,9 @@ def test_rows_of_every_run_from_the_same_start(data, tmp_path):
         assert first["optimizer"] != second["optimizer"] or float(first["seconds"]) < float(second["seconds"])
     again = run(data, output, "benchmark.seeds=[0,1]", "benchmark.minutes=0")
     assert [r["log_l1"] for r in again] == [r["log_l1"] for r in rows]
+    output.write_text("".join(output.read_text().splitlines(keepends=True)[:-1]))  # interrupted in the last run
+    without = run(data, output, "benchmark.seeds=[0,1]", "benchmark.minutes=0")
+    assert [r["log_l1"] for r in without] == [r["log_l1"] for r in rows[:-2]], "an unfinished run is made anew"
 
 
 def test_a_run_gives_the_same_errors_again(data, tmp_path):

@@ -6,13 +6,16 @@ import pytest
 import torch
 from hydra import compose, initialize_config_dir
 from hydra.utils import instantiate
-from networks import network
+from network_variants import loss
+from networks import checkpoint_info, network
 from torch import nn
 from torch.optim import Muon
 
 from rfpp.entry import CONFIG_DIR
+from rfpp.errors import UserError
+from rfpp.metrics.image import ImageMetrics
 from rfpp.model.block import SwiGLU
-from rfpp.training.module import decay_groups
+from rfpp.training.module import RenderingModule, decay_groups
 from rfpp.training.muon import MuonWithAdamW
 from rfpp.training.schedule import warmup_cosine
 
@@ -121,3 +124,21 @@ def test_quickstart_chooses_its_rate():
     optimizer = instantiate(cfg.optimizer)(decay_groups(small()))
     assert isinstance(optimizer, MuonWithAdamW)
     assert {group["lr"] for group in optimizer.param_groups} == {1e-3}
+
+
+@pytest.mark.parametrize(("before", "now"), [("adamw", "muon"), ("muon", "adamw")])
+def test_a_run_of_another_optimizer_is_not_gone_on_with(before, now):
+    made = {}
+    for name in (before, now):
+        with initialize_config_dir(str(CONFIG_DIR), version_base="1.3"):
+            cfg = compose("train", overrides=["run_dir=unused", f"optimizer={name}", "optimizer.fused=false"])
+        made[name] = instantiate(cfg.optimizer)
+    net = network()
+    modules = {
+        name: RenderingModule(net, loss(), ImageMetrics(lpips=None), optimizer, lambda _: None, checkpoint_info())
+        for name, optimizer in made.items()
+    }
+    saved = {"optimizer_states": [made[before](decay_groups(net)).state_dict()]}
+    modules[before].on_load_checkpoint(saved)
+    with pytest.raises(UserError, match="another optimizer"):
+        modules[now].on_load_checkpoint(saved)
