@@ -48,7 +48,7 @@ def steps(net, optimizer, count, schedule=None):
         optimizer.step()
         if schedule:
             schedule.step()
-        losses.append(float(loss))
+        losses.append(float(loss.detach()))
     return losses
 
 
