@@ -31,6 +31,7 @@ from rfpp.training.callbacks.finite_gradients import NonFiniteGradientError
 from rfpp.training.checkpoints import checkpoint_to_resume, point_at
 from rfpp.training.config_file import write_config
 from rfpp.training.module import RenderingModule
+from rfpp.training.precision import training_precision
 from rfpp.training.run import (
     divide_global_batch,
     same_folder_in_children,
@@ -55,10 +56,12 @@ def main(cfg: DictConfig) -> Path | None:
     L.seed_everything(cfg.seed, verbose=False)
     torch.set_float32_matmul_precision("high")
 
-    config = OmegaConf.to_container(cfg, resolve=True)
     run_dir = Path(cfg.run_dir)
     network = instantiate(cfg.model, _convert_="all")
-    resumed = checkpoint_to_resume(cfg.checkpoint, run_dir / "checkpoints", config["model"])
+    model = OmegaConf.to_container(cfg.model, resolve=True)
+    resumed = checkpoint_to_resume(cfg.checkpoint, run_dir / "checkpoints", model)
+    cfg.trainer.precision = training_precision(cfg.trainer.precision, cfg.trainer.accelerator, resumed)
+    config = OmegaConf.to_container(cfg, resolve=True)
     if cfg.initial_weights and resumed is None:
         load_initial_weights(network, cfg.initial_weights)
     if cfg.compile:
@@ -70,7 +73,7 @@ def main(cfg: DictConfig) -> Path | None:
     tracked = not cfg.trainer.fast_dev_run
     logger = instantiate(cfg.logger) if tracked else DummyLogger()
     info = CheckpointInfo(
-        model=config["model"],
+        model=model,
         resolution=(cfg.data.resolution, cfg.data.resolution),
         data_manifest=datamodule.manifest.hash,
         dataset=datamodule.manifest.name,

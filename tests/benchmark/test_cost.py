@@ -152,7 +152,7 @@ def test_networks_and_training_are_those_of_the_experiments():
     assert benchmark["networks"]["renderformer"]["model"] == NETWORKS["renderformer"].model
     assert benchmark["networks"]["rfpp"]["model"] == NETWORKS["rfpp"].model
     with initialize_config_dir(str(CONFIG_DIR), version_base="1.3"):
-        train = compose("train", overrides=["run_dir=unused"])
+        train = compose("train", overrides=["run_dir=unused", "+experiment=large_scale"])
     for name in TASKS["steps"]:
         assert benchmark["tasks"][name]["optimizer"] == OmegaConf.to_container(train.optimizer)
         assert benchmark["tasks"][name]["loss"] == {**OmegaConf.to_container(train.loss), "lpips_weight": 0}
