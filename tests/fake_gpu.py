@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from unittest.mock import patch
 
 import torch
 import torch.nn.functional as F
@@ -23,8 +24,8 @@ _MATRIX_PRODUCTS = (F.linear, F.conv2d, F.conv_transpose2d, torch.conv2d, torch.
 @contextmanager
 def fake_gpu(autocast: bool = True) -> Iterator[Copies]:
     """Tensors on the GPU have no values here: asking for one, or mixing devices, is an error."""
-    copies = Copies()
-    with FakeTensorMode(), copies, _WithoutDriver(autocast), torch.no_grad():
+    copies, driver = Copies(), _WithoutDriver(autocast)
+    with patch("torch.autocast", driver.autocast_set), FakeTensorMode(), copies, driver, torch.no_grad():
         yield copies
 
 
@@ -51,6 +52,13 @@ class _WithoutDriver(TorchFunctionMode):
     def __init__(self, autocast: bool) -> None:
         super().__init__()
         self.autocast = autocast
+
+    @contextmanager
+    def autocast_set(self, device_type: str, enabled: bool = True) -> Iterator[None]:
+        """In place of torch.autocast."""
+        before, self.autocast = self.autocast, enabled
+        yield
+        self.autocast = before
 
     def __torch_function__(self, func, types, args=(), kwargs=None):
         if func is torch.Tensor.__getitem__ and args[0].is_cuda:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import gc
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import asdict, dataclass, fields, replace
 from itertools import product
 from pathlib import Path
@@ -185,8 +184,7 @@ def _measure(made: Untrained, task: Task, m: Measurement, setting: Setting, repe
     finally:
         del run, network
         gc.collect()
-        with suppress(AttributeError):
-            torch._dynamo.reset()
+        torch.compiler.reset()
         if on_gpu:
             torch.cuda.empty_cache()
     return result

@@ -54,6 +54,19 @@ def test_attention_in_half_precision_goes_to_the_variable_length_kernel(variant,
     assert taken == {torch.bfloat16}
 
 
+def test_images_and_light_are_float32_between_layers_in_half_precision(variant):
+    found = {}
+    with fake_gpu():
+        net = network_on(GPU, *variant).train()
+        net.decoder.head.register_forward_hook(lambda _, __, maps: found.update(head=maps.dtype))
+        net.decoder.blocks[0].cross_attention.out_proj.register_forward_hook(
+            lambda _, __, x: found.update(layer=x.dtype)
+        )
+        made = net(batch_for(net).to(GPU))
+        found["states"] = {state.dtype for state in made.transport_states} or {torch.float32}
+    assert found == {"head": torch.float32, "layer": torch.bfloat16, "states": {torch.float32}}
+
+
 def test_float32_runs_on_the_gpu_too(variant):
     with fake_gpu(autocast=False):
         net = network_on(GPU, *variant).eval()
