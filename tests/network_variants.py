@@ -23,12 +23,10 @@ VARIANTS = {
 }  # fmt: skip
 
 
-def batch_for(net: RenderFormerPP, resolution: int = 16) -> RaggedBatch:
+def batch_for(net: RenderFormerPP, resolution: int = 16, scenes: int = 2) -> RaggedBatch:
     rng, channels = np.random.default_rng(0), sum(CHANNELS[name] for name in net.gbuffer_channels)
-    samples = [
-        random_views(rng, sizes, resolution=resolution, channels=channels) for sizes in ((14, 6, 1), (3, 9, 2, 1))
-    ]
-    return RaggedBatch.pack(samples)
+    sizes = ((14, 6, 1), (3, 9, 2, 1))[:scenes]
+    return RaggedBatch.pack([random_views(rng, each, resolution=resolution, channels=channels) for each in sizes])
 
 
 def loss() -> RenderingLoss:

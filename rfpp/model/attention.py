@@ -24,8 +24,8 @@ from rfpp.model.tiled_attention import TiledAttention
 #: Segments are padded to multiples of this and taken in powers of two. On a CPU every new shape of a matrix product
 #: costs a compilation (oneDNN), so the shapes must recur from batch to batch.
 GRANULARITY = 32
-#: Segments of one length, this long at least, go to dense attention on a GPU, where cuDNN's kernel is faster than
-#: FlashAttention's for ragged ones. It is planned for each shape anew, which pays for rays: all views have as many.
+#: Recurring segments of one length, this long at least, go to dense attention on a GPU, where cuDNN's kernel is faster
+#: than FlashAttention's for ragged ones. Planning it takes half a second for each new shape.
 DENSE_FROM = 1024
 #: Up to this many scores per head are held at once on a CPU in bfloat16, which is faster than computing them twice.
 SMALL_ATTENTION = 256 * 256
@@ -40,12 +40,19 @@ class AttentionPattern:
         queries, keys: segments of the rows; without `keys`, self-attention.
         order: for self-attention, the row that comes first, second, … when the segments are laid out end to end;
             None where that is the order of the rows.
+        recurring: whether the same lengths come again and again, as those of the rays of views do.
 
     Raises:
         ValueError: the segments do not pair up, or an order is given for cross-attention.
     """
 
-    def __init__(self, queries: Segments, keys: Segments | None = None, order: Int[Tensor, " n"] | None = None):
+    def __init__(
+        self,
+        queries: Segments,
+        keys: Segments | None = None,
+        order: Int[Tensor, " n"] | None = None,
+        recurring: bool = False,
+    ):
         if order is not None and keys is not None:
             raise ValueError("an order of the rows is for self-attention")
         keys = queries if keys is None else keys
@@ -54,8 +61,8 @@ class AttentionPattern:
         self.queries, self.keys, self.order = queries, keys, order
         self.longest_query, self.longest_key = max(queries.lengths), max(keys.lengths)
         every = {*queries.lengths, *keys.lengths}
-        #: Rows of every segment of either, 0 where they differ.
-        self.equal_length = every.pop() if len(every) == 1 else 0
+        #: Rows of every segment of either; 0 where they differ, or do not recur.
+        self.equal_length = every.pop() if recurring and len(every) == 1 else 0
 
     @cached_property
     def inverse_order(self) -> Int[Tensor, " n"]:

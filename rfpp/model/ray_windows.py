@@ -14,7 +14,7 @@ class WholeView:
 
     def __call__(self, views: int, rows: int, columns: int, device: torch.device) -> tuple[AttentionPattern, ...]:
         """Patterns for N views of rows × columns patches, which the layers use in turn."""
-        return (AttentionPattern(Segments.from_lengths([rows * columns] * views, device)),)
+        return (AttentionPattern(Segments.from_lengths([rows * columns] * views, device), recurring=True),)
 
 
 class ShiftedWindows:

@@ -12,6 +12,7 @@ from rfpp.batch import RaggedBatch, on_device
 from rfpp.losses.transport_consistency import TransportConsistency
 from rfpp.model import attention
 from rfpp.model.exposure import ArrivingLight
+from rfpp.model.ray_windows import ShiftedWindows
 from rfpp.model.view_decoder import SeenTokens
 
 
@@ -52,6 +53,19 @@ def test_attention_in_half_precision_goes_to_the_variable_length_kernel(variant,
         net = network_on(GPU, *variant).eval()
         net(batch_for(net).to(GPU))
     assert taken == {torch.bfloat16}
+
+
+def test_only_rays_of_whole_views_go_to_the_kernel_that_is_planned_for_each_shape(variant, monkeypatch):
+    """Numbers of tokens differ from scene to scene, even where a batch has one."""
+    lengths, kernel = set(), attention.attend_equal
+    monkeypatch.setattr(attention, "DENSE_FROM", 1)
+    monkeypatch.setattr(attention, "attend_equal", lambda *a: lengths.add(a[-1].equal_length) or kernel(*a))
+    with fake_gpu():
+        net = network_on(GPU, *variant).eval()
+        batch = batch_for(net, scenes=1).to(GPU)
+        assert net(batch).log_radiance.shape == (1, 2, 3, 16, 16)
+    windows = isinstance(net.decoder.windows, ShiftedWindows)
+    assert lengths == (set() if windows else {(16 // net.patch_size) ** 2})
 
 
 def test_images_and_light_are_float32_between_layers_in_half_precision(variant):

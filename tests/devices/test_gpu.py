@@ -54,7 +54,7 @@ def test_all_backends_agree_in_values_and_gradients(dim, kind):
     lengths = [1024] * 3 if kind == "rays" else rng.integers(1, 700, 23).tolist()
     queries = lengths if kind in ("self", "rays") else [8 if kind == "queries of objects" else 256] * 23
     patterns = {
-        device: AttentionPattern(Segments.from_lengths(queries, device), Segments.from_lengths(lengths, device))
+        device: AttentionPattern(*(Segments.from_lengths(n, device) for n in (queries, lengths)), recurring=True)
         for device in ("cpu", "cuda")
     }
     qkv = [t.bfloat16() for t in random_qkv(patterns["cpu"].queries, patterns["cpu"].keys, dim=dim)]
