@@ -70,7 +70,7 @@ def test_too_few_points_have_no_exponent(table, capsys):
 
 @pytest.mark.parametrize(
     ("content", "message"),
-    [(None, "cannot be read"), ("a,b\n1,2\n", "not a table of costs"), ("", "not a table of costs")],
+    [(None, "cannot be read"), ("a,b\n1,2\n", "not a table of benchmark=cost"), ("", "not a table of benchmark=cost")],
 )
 def test_other_files_are_refused_in_one_line(content, message, tmp_path, capsys):
     path = tmp_path / "other.csv"
