@@ -29,7 +29,8 @@ def read_rows(path: Path, needed: Set[str] = COLUMNS, benchmark: str = "cost") -
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise UserError(f"{path}: cannot be read ({error}): correct the path") from None
     if not rows or needed - rows[0].keys():
-        raise UserError(f"{path}: not a table of benchmark={benchmark}: make it with launch/benchmark.py benchmark={benchmark} output=…")
+        command = f"benchmark={benchmark}"
+        raise UserError(f"{path}: not a table of {command}: make it with launch/benchmark.py {command} output=…")
     return rows
 
 
