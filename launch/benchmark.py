@@ -18,8 +18,7 @@ from rich.table import Column, Table
 
 from rfpp.entry import entry_point
 from rfpp.evaluation.csv_files import Row, write_rows
-from rfpp.evaluation.evaluation_file import hardware
-from rfpp.training.tracking import code_version
+from rfpp.training.tracking.description import code_version, hardware
 
 
 @entry_point("benchmark")

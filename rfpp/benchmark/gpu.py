@@ -13,6 +13,7 @@ from typing import Any
 
 import torch
 
+from rfpp.batch import RaggedBatch
 from rfpp.benchmark.cost_case import Case
 from rfpp.benchmark.cost_process import GB
 from rfpp.benchmark.cost_rows import Row, read_rows
@@ -21,9 +22,10 @@ from rfpp.benchmark.cost_turns import OK
 from rfpp.errors import UserError
 from rfpp.model.renderformer_pp import RenderFormerPP
 from rfpp.training.flops import matrix_product_rate, published_peak
+from rfpp.training.tracking.description import hardware
 
 #: What a table must have to be gone on with.
-NEEDED = {"task", "network", "size", "compiled", "triangles", "quantity", "status", "seconds", "device_name", "torch"}
+NEEDED = {"task", "network", "size", "compiled", "triangles", "quantity", "status", "seconds", "hardware", "torch"}
 
 
 @dataclass(frozen=True)
@@ -124,7 +126,7 @@ def measure(
     yield from known
     setting.apply()
     device = torch.device(setting.where)
-    here = {"device_name": _name(device), "torch": torch.__version__, "precision": setting.precision}
+    here = {"hardware": hardware(device), "torch": torch.__version__, "precision": setting.precision}
     missing = [m for m in wanted if not _measured(m, here, known)]
     if not missing:
         return
@@ -157,7 +159,7 @@ def _measure(made: Untrained, task: Task, m: Measurement, setting: Setting, repe
     on_paper = made("meta")
     shapes = m.case.batch(on_paper.gbuffer_channels, setting.seed).to("meta")
     flops = task.flops(on_paper, shapes)
-    result = _Result({name: [] for name in task.quantities}, None, flops, _tokens(on_paper, m.case), None)
+    result = _Result({name: [] for name in task.quantities}, None, flops, _tokens(on_paper, shapes), None)
     on_gpu = setting.where == "cuda"
     if on_gpu:
         torch.cuda.empty_cache()
@@ -190,12 +192,11 @@ def _measure(made: Untrained, task: Task, m: Measurement, setting: Setting, repe
     return result
 
 
-def _tokens(network: RenderFormerPP, case: Case) -> int:
+@torch.no_grad()
+def _tokens(network: RenderFormerPP, batch: RaggedBatch) -> int:
     """Scene tokens and ray bundles of a batch."""
-    batch = case.batch(network.gbuffer_channels, 0).to("meta")
-    with torch.no_grad():
-        scene = network.tokenize(batch)[1].segments.total
-    return scene + case.scenes * case.views * (case.resolution // network.patch_size) ** 2
+    height, width = (side // network.patch_size for side in batch.resolution)
+    return network.tokenize(batch)[1].segments.total + len(batch.scenes) * batch.num_views * height * width
 
 
 def _row(m: Measurement, quantity: str, result: _Result, rate: float, peak: float | None) -> Row:
@@ -226,7 +227,3 @@ def _row(m: Measurement, quantity: str, result: _Result, rate: float, peak: floa
 def _measured(m: Measurement, here: Mapping[str, str], known: Sequence[Mapping[str, Any]]) -> bool:
     wanted = {**asdict(m), **here}
     return any(all(str(row.get(name)) == str(value) for name, value in wanted.items()) for row in known)
-
-
-def _name(device: torch.device) -> str:
-    return torch.cuda.get_device_name(device) if device.type == "cuda" else "CPU"

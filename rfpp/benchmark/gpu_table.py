@@ -44,7 +44,7 @@ def table(rows: Sequence[Row]) -> str:
         lines.append(f"| {_name(row)} | {int(row['triangles']):,} | {side} | {' | '.join(cells)} |")
     if len(lines) == 2:
         raise UserError(f"nothing was measured of both {BASELINE} and {OURS}: run benchmark=gpu further")
-    where = {f"{row['device_name']}, torch {row['torch']}, commit {row['commit']}" for row in rows}
+    where = {f"{row['hardware']}, torch {row['torch']}, commit {row['commit']}" for row in rows}
     return "\n".join([*lines, "", f"*{'; '.join(sorted(where))}: medians; `launch/benchmark.py benchmark=gpu`.*"])
 
 

@@ -62,13 +62,12 @@ def measure(
     yield from (row for row in known if (row["optimizer"], int(row["seed"])) in ended)
     missing = [(name, seed) for seed in seeds for name in runs if (name, seed) not in ended]
     setting.apply()
-    scenes: dict[str, Any] = {}
     for number, (name, seed) in enumerate(missing):
         if time.monotonic() - begin > 60 * minutes:
             return
         cfg = compose([*runs[name], f"seed={seed}", "loss.lpips_weight=0.0"])
         evaluations = -(-cfg["steps"] // every)
-        rows = _train(cfg, seed, every, split, setting, scenes)
+        rows = _train(cfg, seed, every, split, setting)
         for done, row in enumerate(rows, start=1):
             progress(number * evaluations + done, len(missing) * evaluations)
             yield {"optimizer": name, "lr": cfg["optimizer"]["lr"], "seed": seed, **row}
@@ -90,17 +89,14 @@ class RememberedSplit(ShardSplit):
         return replace(whole, **of_views, gbuffers=tuple(whole.gbuffers[view] for view in views))
 
 
-def _train(
-    cfg: Mapping[str, Any], seed: int, every: int, split: str, setting: Setting, scenes: dict[str, Any]
-) -> Iterator[Row]:
+def _train(cfg: Mapping[str, Any], seed: int, every: int, split: str, setting: Setting) -> Iterator[Row]:
     torch.manual_seed(seed)
     network = build(cfg["model"], "network").to(setting.where)
     optimizer = instantiate(cfg["optimizer"])(decay_groups(network))
     schedule, loss = instantiate(cfg["schedule"])(optimizer), instantiate(cfg["loss"]).to(setting.where)
-    batches, unseen = _Batches(cfg["datamodule"], network, cfg["steps"], seed), scenes.get("unseen")
-    if unseen is None:
-        unseen = AllViews(ShardSplit(cfg["datamodule"]["root"], split), network.gbuffer_channels)
-        unseen = scenes["unseen"] = [RaggedBatch.pack([views]) for views in (unseen[i] for i in range(len(unseen)))]
+    batches = _Batches(cfg["datamodule"], network, cfg["steps"], seed)
+    stored = AllViews(ShardSplit(cfg["datamodule"]["root"], split), network.gbuffer_channels)
+    unseen = [RaggedBatch.pack([stored[index]]) for index in range(len(stored))]
     seconds, begin = 0.0, setting.now()
     for step, batch in enumerate(batches, start=1):
         network.train()

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
-import platform
 from collections import defaultdict
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass
@@ -21,6 +19,7 @@ from rfpp.inference.checkpoint import CheckpointInfo
 from rfpp.metrics.image import METRICS
 from rfpp.scene.files import write_atomically
 from rfpp.shards.manifest import Manifest
+from rfpp.training.tracking.description import hardware
 
 EVALUATION_FILE = "evaluation.json"
 
@@ -129,23 +128,6 @@ def require_known_metrics(evaluation: Evaluation, path: Path) -> None:
     for name, definition in evaluation.definitions.items():
         if name not in METRICS or METRICS[name].definition != definition:
             raise UserError(f"{path}: '{name}' is by now another metric ({definition}): evaluate again")
-
-
-def hardware(device: torch.device) -> str:
-    """The device in words, e.g. "NVIDIA A100-SXM4-80GB" or "AMD EPYC, 2 cores"."""
-    if device.type == "cuda":
-        return torch.cuda.get_device_name(device)
-    return f"{_processor()}, {os.cpu_count()} cores"
-
-
-def _processor() -> str:
-    """The processor's name as the kernel gives it; Python itself knows little more than the architecture."""
-    try:
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
-    except OSError:
-        lines = []
-    names = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
-    return next(names, platform.processor() or platform.machine())
 
 
 def _require_comparable(evaluations: Mapping[Path, Evaluation]) -> None:

@@ -17,7 +17,7 @@ def row(network, seconds, memory, **changes):
     return {
         "quantity": "training_step", "size": "base", "compiled": "False", "triangles": "1000", "objects": "5",
         "views": "1", "resolution": "64", "scenes": "1", "network": network, "seconds": seconds, "peak_GB": memory,
-        "status": "ok" if seconds else "out of memory", "device_name": "a card", "torch": "2", "commit": "c0ffee",
+        "status": "ok" if seconds else "out of memory", "hardware": "a card", "torch": "2", "commit": "c0ffee",
     } | changes  # fmt: skip
 
 

@@ -8,10 +8,11 @@ from networks import checkpoint_info
 
 from rfpp.errors import UserError
 from rfpp.evaluation.confidence import Estimate
-from rfpp.evaluation.evaluation_file import EVALUATION_FILE, Evaluation, hardware, read_evaluations
+from rfpp.evaluation.evaluation_file import EVALUATION_FILE, Evaluation, read_evaluations
 from rfpp.evaluation.training_cost import TrainingCost
 from rfpp.metrics.image import METRICS
 from rfpp.shards.manifest import Manifest
+from rfpp.training.tracking.description import hardware
 
 
 def test_what_is_written_is_read(evaluation, tmp_path) -> None:

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import os
+import platform
 import socket
 import subprocess
 from pathlib import Path
 from typing import Any
+
+import torch
 
 from rfpp.folders import is_installed
 
@@ -29,6 +32,23 @@ def machine_tags() -> dict[str, str]:
     """The host, and the Slurm job where there is one."""
     jobs = {tag: os.environ[variable] for variable, tag in SLURM_TAGS.items() if variable in os.environ}
     return {"host": socket.gethostname(), **jobs}
+
+
+def hardware(device: torch.device) -> str:
+    """The device in words, e.g. "NVIDIA A100-SXM4-80GB" or "AMD EPYC, 2 cores"."""
+    if device.type == "cuda":
+        return torch.cuda.get_device_name(device)
+    return f"{_processor()}, {os.cpu_count()} cores"
+
+
+def _processor() -> str:
+    """The processor's name as the kernel gives it; Python itself knows little more than the architecture."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        lines = []
+    names = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
+    return next(names, platform.processor() or platform.machine())
 
 
 def code_version() -> str | None:
