@@ -12,75 +12,10 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from rfpp.gbuffer.cells import Cells
+from rfpp.packed_cells import PackedCells
 from rfpp.scene.triangles import SceneTriangles
-
-
-def on_device(array: np.ndarray, device: torch.device | str) -> Tensor:
-    """A host array as a tensor there, without waiting for what the device has been asked to do.
-
-    From pageable memory a copy to a GPU waits until all work before it is done.
-    """
-    tensor = torch.from_numpy(array)
-    if torch.device(device).type != "cuda":
-        return tensor.to(device)
-    if torch.cuda.is_available():  # only shapes are computed otherwise
-        tensor = tensor.pin_memory()
-    return tensor.to(device, non_blocking=True)
-
-
-@dataclass(frozen=True)
-class Segments:
-    """A partition of a packed axis into consecutive runs (CSR offsets).
-
-    The lengths are kept on the host too, so that planning an attention never waits for the device.
-
-    Attributes:
-        offsets: [n + 1] int32, first 0.
-        lengths: n run lengths.
-    """
-
-    offsets: Int[Tensor, " n_plus_1"]
-    lengths: tuple[int, ...]
-
-    @classmethod
-    def from_lengths(cls, lengths: Sequence[int], device: torch.device | str = "cpu") -> Segments:
-        offsets = np.concatenate([[0], np.cumsum(lengths, dtype=np.int64)]).astype(np.int32)
-        return cls(on_device(offsets, device), tuple(int(n) for n in lengths))
-
-    def __len__(self) -> int:
-        return len(self.lengths)
-
-    @property
-    def total(self) -> int:
-        return sum(self.lengths)
-
-    @property
-    def sizes(self) -> Int[Tensor, " n"]:
-        """[n] int64: the lengths, on the device."""
-        return (self.offsets[1:] - self.offsets[:-1]).long()
-
-    @cached_property
-    def index(self) -> Int[Tensor, " total"]:
-        """[total] int64: the segment each row belongs to."""
-        segments = torch.arange(len(self), device=self.offsets.device)
-        return torch.repeat_interleave(segments, self.sizes, output_size=self.total)
-
-    def grouped(self, groups: Segments) -> Segments:
-        """Consecutive runs put together: `groups` are segments of the runs."""
-        bounds = np.concatenate([[0], np.cumsum(groups.lengths)])
-        lengths = (sum(self.lengths[a:b]) for a, b in pairwise(bounds))
-        return Segments(self.offsets[groups.offsets.long()], tuple(lengths))
-
-    def lengthened(self, by: int) -> Segments:
-        """Every run with so many more rows."""
-        more = by * torch.arange(len(self) + 1, dtype=torch.int32, device=self.offsets.device)
-        return Segments(self.offsets + more, tuple(n + by for n in self.lengths))
-
-    def to(self, device: torch.device | str, **kwargs) -> Segments:
-        return Segments(self.offsets.to(device, **kwargs), self.lengths)
-
-    def pin_memory(self) -> Segments:
-        return Segments(self.offsets.pin_memory(), self.lengths)
+from rfpp.segments import Segments, on_device
 
 
 @dataclass(frozen=True)
@@ -96,6 +31,7 @@ class SceneViews:
         image: [V, 3, H, W] linear radiance, where a reference exists.
         texture: [M, 13, P, P] where materials vary over triangles, see `rfpp.scene.texture`.
         object_light: [O, 3] see `rfpp.gbuffer.object_light`, for networks that read it.
+        cells: of the scene, for networks that move light between them.
     """
 
     key: str
@@ -106,6 +42,11 @@ class SceneViews:
     image: np.ndarray | None = None
     texture: np.ndarray | None = None
     object_light: np.ndarray | None = None
+    cells: Cells | None = None
+
+
+#: Parts of a batch that live on a device.
+_Movable = Tensor | Segments | PackedCells
 
 
 @dataclass(frozen=True)
@@ -123,6 +64,7 @@ class RaggedBatch:
         keys: B sample names.
         texture: [M, 13, P, P] emission linear, or None where every triangle has one material.
         object_light: [O, 3] linear radiance that leaves each object by the first bounce, or None.
+        cells: of all scenes, or None.
         emitters: [E] the triangles that emit; on the host, so that pairing them with objects waits for no device.
     """
 
@@ -139,6 +81,7 @@ class RaggedBatch:
     emitters: Int[np.ndarray, " e"]
     texture: Float[Tensor, "m 13 p p"] | None = None
     object_light: Float[Tensor, "o 3"] | None = None
+    cells: PackedCells | None = None
 
     @classmethod
     def pack(cls, samples: Sequence[SceneViews]) -> RaggedBatch:
@@ -159,6 +102,7 @@ class RaggedBatch:
             raise ValueError("textured scenes and others cannot share a batch")
         with_images = all(s.image is not None for s in samples)
         lit = [s.object_light for s in samples if s.object_light is not None]
+        cells = [s.cells for s in samples if s.cells is not None]
         return cls(
             positions=packed([t.positions for t in triangles]),
             normals=packed([t.normals for t in triangles]),
@@ -173,6 +117,7 @@ class RaggedBatch:
             emitters=np.flatnonzero(np.concatenate([t.is_emissive for t in triangles])),
             texture=packed(textures) if textures else None,
             object_light=packed(lit) if len(lit) == len(samples) else None,
+            cells=PackedCells.pack(cells, [t.num_objects for t in triangles]) if len(cells) == len(samples) else None,
         )
 
     @property
@@ -197,7 +142,7 @@ class RaggedBatch:
         return 0.5 * torch.linalg.vector_norm(torch.linalg.cross(b - a, c - a), dim=-1)
 
     def dimmed(self, factor: Float[Tensor, " b"]) -> RaggedBatch:
-        """Every scene's emitted radiance, and its objects' light, divided by its factor; images stay as they are."""
+        """Every scene's light, of triangles, objects and cells, divided by its factor; images stay as they are."""
         per_object = factor[self.scenes.index]
         per_triangle = per_object[self.objects.index]
         material = torch.cat([self.material[:, :7], self.material[:, 7:10] / per_triangle[:, None]], dim=-1)
@@ -205,10 +150,11 @@ class RaggedBatch:
         if texture is not None:
             texture = torch.cat([texture[:, :10], texture[:, 10:] / per_triangle[:, None, None, None]], dim=1)
         light = None if self.object_light is None else self.object_light / per_object[:, None]
-        return replace(self, material=material, texture=texture, object_light=light)
+        cells = None if self.cells is None else self.cells.dimmed(factor)
+        return replace(self, material=material, texture=texture, object_light=light, cells=cells)
 
     def only(self, objects: Sequence[int]) -> RaggedBatch:
-        """Some objects, in this order, as one scene of their own."""
+        """Some objects, in this order, as one scene of their own; without cells, which know of each other."""
         starts = np.concatenate([[0], np.cumsum(self.objects.lengths)])
         rows = np.concatenate([np.arange(starts[number], starts[number + 1]) for number in objects])
         emitters = np.flatnonzero(np.isin(rows, self.emitters))
@@ -225,6 +171,7 @@ class RaggedBatch:
             object_light=None
             if self.object_light is None
             else self.object_light[on_device(np.array(objects), rows.device)],
+            cells=None,
         )
 
     def object_chunks(self, objects: Sequence[int], triangles: int) -> Iterator[list[int]]:
@@ -243,13 +190,15 @@ class RaggedBatch:
         moved = {}
         for field in fields(self):
             value = getattr(self, field.name)
-            moved[field.name] = value.to(device, **kwargs) if isinstance(value, Tensor | Segments) else value
+            moved[field.name] = (
+                value.to(device, **kwargs) if isinstance(value, Tensor | Segments | PackedCells) else value
+            )
         return RaggedBatch(**moved)
 
     def pin_memory(self) -> RaggedBatch:
         pinned = {
             field.name: value.pin_memory()
             for field in fields(self)
-            if isinstance(value := getattr(self, field.name), Tensor | Segments)
+            if isinstance(value := getattr(self, field.name), _Movable)
         }
         return replace(self, **pinned)

@@ -18,12 +18,23 @@ from rfpp.scene.triangles import DIFFUSE, ROUGHNESS, SPECULAR, SceneTriangles
 DIRECT_CHANNELS = ("direct_diffuse", "direct_glossy")
 #: Channels of what shiny surfaces show, in the units of `Reflection`.
 REFLECTION_CHANNELS = ("reflected_light", "reflected_albedo")
+#: Channels of the cells that pixels see, in the units of `SeenCells`.
+CELL_CHANNELS = ("diffuse_cells", "glossy_cells")
+#: Rays to cells from each pixel and lobe.
+CELL_RAYS = 4
 #: Channels that hold light.
 LIGHT_CHANNELS = (*DIRECT_CHANNELS, "reflected_light")
 #: Channels whose three numbers are red, green and blue.
 COLOUR_CHANNELS = ("albedo", "specular", *DIRECT_CHANNELS, *REFLECTION_CHANNELS)
 #: The geometry-buffer channels a network may ask for, and how many numbers each has.
-CHANNELS: dict[str, int] = {"normal": 3, "roughness": 1, "depth": 1, "position": 3} | dict.fromkeys(COLOUR_CHANNELS, 3)
+CHANNELS: dict[str, int] = {
+    "normal": 3,
+    "roughness": 1,
+    "depth": 1,
+    "position": 3,
+    **dict.fromkeys(COLOUR_CHANNELS, 3),
+    **dict.fromkeys(CELL_CHANNELS, CELL_RAYS),
+}
 
 _MATERIAL_COLUMNS = {"albedo": DIFFUSE, "specular": SPECULAR, "roughness": ROUGHNESS}
 
@@ -57,6 +68,19 @@ class Reflection:
 
 
 @dataclass(frozen=True, eq=False)
+class SeenCells:
+    """The cells (`rfpp.gbuffer.cells`) in which CELL_RAYS rays from each pixel end; -1 where they meet none.
+
+    Attributes:
+        diffuse: [H, W, S] int32: rays as dense as diffuse light arrives.
+        glossy: [H, W, S] int32: rays as the glossy lobe sends them.
+    """
+
+    diffuse: Int[np.ndarray, "h w s"]
+    glossy: Int[np.ndarray, "h w s"]
+
+
+@dataclass(frozen=True, eq=False)
 class GBuffer:
     """What one camera sees first through each pixel's centre. Lights are invisible to the camera.
 
@@ -67,6 +91,7 @@ class GBuffer:
         depth: [H, W] float32 distance along the camera's -Z axis (not along the ray); 0 where nothing is hit.
         light: what reaches the hits straight from the lights, if it was asked for (`rfpp.gbuffer.direct_light`).
         reflection: what shiny surfaces show, if it was asked for (`rfpp.gbuffer.reflection`).
+        cells: the cells that pixels see, if they were asked for (`rfpp.gbuffer.gathering`).
     """
 
     triangle: Int[np.ndarray, "h w"]
@@ -74,6 +99,7 @@ class GBuffer:
     depth: Float[np.ndarray, "h w"]
     light: DirectLight | None = None
     reflection: Reflection | None = None
+    cells: SeenCells | None = None
 
     @property
     def hit(self) -> np.ndarray:
@@ -134,7 +160,7 @@ def stack_channels(
 
     Raises:
         UserError: a name that is no channel.
-        ValueError: a channel of direct light or of reflection from a G-buffer that has none.
+        ValueError: a channel of direct light, of reflection or of cells from a G-buffer that has none.
     """
     height, width = gbuffer.depth.shape
     channels = [channel(gbuffer, material, fov, name) for name in names]
@@ -162,6 +188,10 @@ def channel(
         if gbuffer.reflection is None:
             raise ValueError(f"'{name}' was asked of a G-buffer without reflection: see with_reflection")
         return gbuffer.reflection.light if name == "reflected_light" else gbuffer.reflection.albedo
+    if name in CELL_CHANNELS:
+        if gbuffer.cells is None:
+            raise ValueError(f"'{name}' was asked of a G-buffer without cells: see with_cells")
+        return (gbuffer.cells.diffuse if name == "diffuse_cells" else gbuffer.cells.glossy).astype(np.float32)
     raise UserError(f"G-buffer channel '{name}' does not exist: choose from {', '.join(CHANNELS)}")
 
 

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from hashlib import blake2b
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
+from rfpp.gbuffer.cells import CellMap, Cells, find_cells
 from rfpp.gbuffer.direct_light import with_direct_light
 from rfpp.gbuffer.first_hit import (
+    CELL_CHANNELS,
     DIRECT_CHANNELS,
     REFLECTION_CHANNELS,
     GBuffer,
@@ -17,6 +20,7 @@ from rfpp.gbuffer.first_hit import (
     first_hit,
     stack_channels,
 )
+from rfpp.gbuffer.gathering import with_cells
 from rfpp.gbuffer.light_sampler import LightSampler
 from rfpp.gbuffer.object_light import object_light
 from rfpp.gbuffer.raycast import RayCaster
@@ -31,6 +35,8 @@ _BYTES_PER_TRIANGLE = 200
 _SAMPLER_BYTES_PER_TRIANGLE = 8
 #: Of a GBuffer: triangle, normal and depth.
 _BYTES_PER_PIXEL = 20
+#: What cells keep, about: of small scenes more of them than triangles.
+_CELL_BYTES_PER_TRIANGLE = 500
 #: Of the light of one.
 _BYTES_PER_OBJECT = 12
 
@@ -52,13 +58,16 @@ class GBufferSource:
         self._kept: BoundedCache[GBuffer | RayCaster | LightSampler | np.ndarray] = BoundedCache(max_bytes)
 
     def of(
-        self, scene: PackedScene, height: int, width: int, light_samples: int
+        self, scene: PackedScene, height: int, width: int, light_samples: int, points: int = 1
     ) -> Callable[[int], Float[np.ndarray, "c h w"]]:
         """View number → its channels; no ray is cast before a view is asked for, and none for no channels.
 
         Args:
+            height, width: in pixels.
             light_samples: see `with_direct_light` and `with_reflection`.
+            points: along each side of a pixel; the channels have so many times the height and the width.
         """
+        height, width = points * height, points * width
         if not self.channels:
             return lambda view: np.zeros((0, height, width), np.float32)
         triangles = scene.triangles
@@ -70,6 +79,9 @@ class GBufferSource:
             for gather, light in ((with_direct_light, DIRECT_CHANNELS), (with_reflection, REFLECTION_CHANNELS)):
                 if not set(self.channels).isdisjoint(light):
                     gbuffer = gather(gbuffer, c2w, fov, self._lights(triangles, geometry), light_samples)
+            if not set(self.channels).isdisjoint(CELL_CHANNELS):
+                lights, (_, cells) = self._lights(triangles, geometry), self._cells(triangles, geometry)
+                gbuffer = with_cells(gbuffer, c2w, fov, triangles, lights.caster, cells, points)
             return stack_channels(gbuffer, triangles.material, fov, self.channels)
 
         return channels
@@ -80,6 +92,19 @@ class GBufferSource:
         key = ("object light", geometry, _digest(triangles.material))
         size = _BYTES_PER_OBJECT * triangles.num_objects
         return self._kept.recall(key, size, lambda: object_light(self._lights(triangles, geometry)))
+
+    def known_of_scene(self, triangles: SceneTriangles, names: Collection[str]) -> dict[str, Any]:
+        """What a network reads of a scene beside its triangles: `object_light`, `cells`."""
+        known = {
+            "object_light": lambda: self.object_light(triangles),
+            "cells": lambda: self._cells(triangles, _geometry(triangles))[0],
+        }
+        return {name: known[name]() for name in names}
+
+    def _cells(self, triangles: SceneTriangles, geometry: bytes) -> tuple[Cells, CellMap]:
+        key = ("cells", geometry, _digest(triangles.material))
+        size = _CELL_BYTES_PER_TRIANGLE * len(triangles)
+        return self._kept.recall(key, size, lambda: find_cells(self._lights(triangles, geometry)))
 
     def _first_hit(
         self,

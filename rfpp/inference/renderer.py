@@ -144,7 +144,7 @@ class Renderer:
             raise UserError(f"light_samples={light_samples}, supersampling={supersampling}: give 1 or more of each")
         points = supersampling if self.network.shades_points else 1
         samples = max(1, round(light_samples / points**2))
-        gbuffers = self._gbuffers.of(packed, points * height, points * width, samples)
+        gbuffers = self._gbuffers.of(packed, height, width, samples, points)
         return self._views(packed, gbuffers, points, transports)
 
     def _views(
@@ -156,9 +156,9 @@ class Renderer:
     ) -> Iterator[Float[np.ndarray, "h w 3"]]:
         """One view at a time, which bounds the memory; a thread casts the next one's rays meanwhile."""
         no_gbuffer = np.zeros((len(scene.fov), 0, 0, 0), np.float32)
-        light = self._gbuffers.object_light(scene.triangles) if self.network.source.reads_object_light else None
+        known = self._gbuffers.known_of_scene(scene.triangles, self.network.source.reads)
         views = SceneViews(
-            scene.name, scene.triangles, scene.c2w, scene.fov, no_gbuffer, texture=scene.texture, object_light=light
+            scene.name, scene.triangles, scene.c2w, scene.fov, no_gbuffer, texture=scene.texture, **known
         )
         batch = RaggedBatch.pack([views])
         with ThreadPoolExecutor(1, "gbuffer") as beside:

@@ -7,10 +7,10 @@ from pathlib import Path
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from rfpp.batch import Segments
 from rfpp.losses.perceptual import PerceptualLoss
 from rfpp.losses.radiance import log_l1
 from rfpp.losses.transport_consistency import TransportConsistency
+from rfpp.segments import Segments
 
 
 class RenderingLoss(nn.Module):

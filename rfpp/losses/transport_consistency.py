@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from rfpp.batch import Segments
+from rfpp.segments import Segments
 
 
 class TransportConsistency(nn.Module):

@@ -18,8 +18,8 @@ from jaxtyping import Float, Int
 from torch import Tensor
 from torch.nn.attention import SDPBackend, sdpa_kernel
 
-from rfpp.batch import Segments, on_device
 from rfpp.model.tiled_attention import TiledAttention
+from rfpp.segments import Segments, on_device
 
 #: Segments are padded to multiples of this and taken in powers of two. On a CPU every new shape of a matrix product
 #: costs a compilation (oneDNN), so the shapes must recur from batch to batch.

@@ -7,8 +7,9 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from rfpp.batch import RaggedBatch, on_device
+from rfpp.batch import RaggedBatch
 from rfpp.model.tokenizer import mean_by_object, object_areas
+from rfpp.segments import on_device
 
 
 class UnitExposure:

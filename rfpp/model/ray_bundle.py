@@ -9,10 +9,10 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from rfpp.batch import on_device
 from rfpp.gbuffer.first_hit import CHANNELS
 from rfpp.model.block import RMSNorm
 from rfpp.scene.camera import pixel_plane
+from rfpp.segments import on_device
 
 
 def ray_directions(fov: Float[Tensor, " n"], height: int, width: int) -> Float[Tensor, "n 3 h w"]:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from rfpp.batch import Segments, on_device
 from rfpp.model.attention import AttentionPattern
+from rfpp.segments import Segments, on_device
 
 
 class WholeView:

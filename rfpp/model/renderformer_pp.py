@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from rfpp.batch import RaggedBatch, Segments
+from rfpp.batch import RaggedBatch
 from rfpp.model.exposure import ArrivingLight, UnitExposure
 from rfpp.model.source import EmittedLight, FirstBounce
 from rfpp.model.tokenizer import ObjectTokens, SceneTokens, TriangleTokens
@@ -15,6 +15,7 @@ from rfpp.model.transport import Bounces, EncodedTransport, PhysicsInformedTrans
 from rfpp.model.triangle_embedding import TexturePatchEmbedding, TriangleEmbedding
 from rfpp.model.view_decoder import ViewDecoder
 from rfpp.radiance import log_encode
+from rfpp.segments import Segments
 
 
 @dataclass(frozen=True)
@@ -25,11 +26,13 @@ class Rendering:
         log_radiance: [B, V, 3, H, W] log10(1 + radiance), float32.
         transport_states: see Transported.states.
         token_segments: B segments of their N tokens.
+        state_segments: B segments of the rows of transport_states.
     """
 
     log_radiance: Float[Tensor, "b v 3 h w"]
     transport_states: tuple[Float[Tensor, "n width"], ...]
     token_segments: Segments | None = None
+    state_segments: Segments | None = None
 
 
 @dataclass(frozen=True)
@@ -73,7 +76,9 @@ class RenderFormerPP(nn.Module):
     def forward(self, batch: RaggedBatch) -> Rendering:
         scenes = self.encode(batch)
         log_radiance = self.view(scenes, batch.c2w, batch.fov, batch.gbuffer)
-        return Rendering(log_radiance, scenes.transport_states, scenes.tokens.segments)
+        tokens, cells = scenes.tokens, scenes.tokens.cells
+        of_states = tokens.segments if cells is None else cells.cells.scenes
+        return Rendering(log_radiance, scenes.transport_states, tokens.segments, of_states)
 
     def encode(self, batch: RaggedBatch) -> EncodedScenes:
         """The view-independent stage: once per scene, whatever the number of views."""
@@ -95,7 +100,7 @@ class RenderFormerPP(nn.Module):
         return EncodedScenes(transported.tokens, exposure, transported.states)
 
     def bounces(self, batch: RaggedBatch, count: int) -> tuple[list[Float[Tensor, "b v 3 h w"]], Bounces]:
-        """log10(1 + radiance) decoded from ⁽ᵏ⁾F_s + F_e after k = 0 … `count` applications, and these features.
+        """log10(1 + radiance) decoded after k = 0 … `count` applications of the operator, and what it was applied to.
 
         For a network with an operator, see `iterations`.
         """
@@ -105,10 +110,9 @@ class RenderFormerPP(nn.Module):
     def transported_each(
         self, exposure: Float[Tensor, " b"], tokens: SceneTokens, count: int
     ) -> tuple[list[EncodedScenes], Bounces]:
-        """What `tokenize` made, with ⁽ᵏ⁾F_s + F_e for features, after k = 0 … `count` applications; see `bounces`."""
-        bounces = self.transport.bounces(tokens, count)
-        states = [replace(tokens, features=s + bounces.emitted) for s in bounces.scattered]
-        return [EncodedScenes(state, exposure, ()) for state in states], bounces
+        """What `tokenize` made, after k = 0 … `count` applications; see `bounces`."""
+        after, bounces = self.transport.each(tokens, count)
+        return [EncodedScenes(tokens, exposure, ()) for tokens in after], bounces
 
     def view(
         self,

@@ -12,8 +12,8 @@ from rfpp.radiance import log_encode
 class EmittedLight:
     """L_e, what the tokens emit (paper, Sec. 3.1). Most emit nothing."""
 
-    #: Whether batches must carry `object_light`.
-    reads_object_light = False
+    #: What batches must carry besides triangles.
+    reads: tuple[str, ...] = ()
 
     def __call__(self, tokens: SceneTokens, batch: RaggedBatch) -> SceneTokens:
         return tokens
@@ -27,7 +27,7 @@ class FirstBounce:
     What the emitters send to the surfaces that a camera sees must then be in the G-buffer.
     """
 
-    reads_object_light = True
+    reads = ("object_light",)
     #: Radiance, in units of the exposure, below which differences fade.
     FLOOR = 0.01
 
@@ -40,3 +40,18 @@ class FirstBounce:
             raise ValueError("the first bounce is known of objects, and these tokens stand for something else")
         light = log_encode(batch.object_light.to(tokens.log_light) / self.FLOOR)
         return replace(tokens, log_light=light.repeat_interleave(per_object, dim=0))
+
+
+class CellLight:
+    """T L_e of every cell, shadows included, in place of L_e: for `LinearTransport`.
+
+    Not in the paper. What the emitters send to the surfaces that a camera sees must then be in the G-buffer.
+    """
+
+    reads: tuple[str, ...] = ("cells",)
+
+    def __call__(self, tokens: SceneTokens, batch: RaggedBatch) -> SceneTokens:
+        """Raises ValueError where the batch does not carry cells."""
+        if batch.cells is None:
+            raise ValueError("the network moves light between cells, but the batch carries none")
+        return replace(tokens, cells=batch.cells)

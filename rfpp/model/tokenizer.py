@@ -9,10 +9,13 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from rfpp.batch import RaggedBatch, Segments
+from rfpp.batch import RaggedBatch
 from rfpp.model.attention import AttentionPattern
 from rfpp.model.block import CrossBlock, RMSNorm, SelfBlock
 from rfpp.model.encoding import RelativeSpatialEncoding
+from rfpp.model.lit_cells import LitCells
+from rfpp.packed_cells import PackedCells
+from rfpp.segments import Segments
 
 
 @dataclass(frozen=True)
@@ -25,12 +28,14 @@ class SceneTokens:
         log_light: [N, 3] what the transport starts from: log10(1 + emitted radiance), area-weighted over what the token
             stands for, or what another `source` says.
         segments: B segments of the N tokens.
+        cells: of the scenes, for networks that move light between them; lit once it has.
     """
 
     features: Float[Tensor, "n width"]
     points: Float[Tensor, "n 9"]
     log_light: Float[Tensor, "n 3"]
     segments: Segments
+    cells: PackedCells | LitCells | None = None
 
     @classmethod
     def joined(cls, parts: Sequence[SceneTokens], objects: Sequence[int]) -> SceneTokens:

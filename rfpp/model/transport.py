@@ -31,7 +31,10 @@ class Transported:
 
 
 class Bounces(NamedTuple):
-    """F_e [N, D] and the scattered features ⁽⁰⁾F_s, ⁽¹⁾F_s, …, one more than the applications of the operator."""
+    """F_e [N, D] and the scattered features ⁽⁰⁾F_s, ⁽¹⁾F_s, …, one more than the applications of the operator.
+
+    Or what stands for them: light between cells.
+    """
 
     emitted: Float[Tensor, "n width"]
     scattered: tuple[Float[Tensor, "n width"], ...]
@@ -71,8 +74,8 @@ class EncodedTransport(nn.Module):
     def iterations(self) -> int:
         return self.transport.iterations
 
-    def bounces(self, tokens: SceneTokens, count: int) -> Bounces:
-        return self.transport.bounces(self.encoder(tokens).tokens, count)
+    def each(self, tokens: SceneTokens, count: int) -> tuple[list[SceneTokens], Bounces]:
+        return self.transport.each(self.encoder(tokens).tokens, count)
 
 
 class EmissionEncoder(nn.Module):
@@ -137,14 +140,15 @@ class PhysicsInformedTransport(nn.Module):
 
     def forward(self, tokens: SceneTokens) -> Transported:
         # in training one more application, for the consistency loss of the last state
-        emitted, (_, *states) = self.bounces(tokens, self.iterations + self.training)
-        return Transported(replace(tokens, features=states[self.iterations - 1] + emitted), tuple(states))
+        after, (_, states) = self.each(tokens, self.iterations + self.training)
+        return Transported(after[self.iterations], states[1:])
 
-    def bounces(self, tokens: SceneTokens, count: int) -> Bounces:
-        """The operator applied `count` times, whatever K."""
+    def each(self, tokens: SceneTokens, count: int) -> tuple[list[SceneTokens], Bounces]:
+        """The tokens with ⁽ᵏ⁾F_s + F_e for features, k = 0 … `count`, whatever K; and these."""
         pattern, rotation = AttentionPattern(tokens.segments), self.position(tokens.points)
         emitted, scattered = self.emission_encoder(tokens.features, tokens.log_light)
         states = [scattered]
         for _ in range(count):
             states.append(self.operator(states[-1] + emitted, pattern, rotation))
-        return Bounces(emitted, tuple(states))
+        after = [replace(tokens, features=state + emitted) for state in states]
+        return after, Bounces(emitted, tuple(states))

@@ -35,10 +35,19 @@ class TriangleEmbedding(nn.Module):
     def forward(self, batch: RaggedBatch) -> Float[Tensor, "m width"]:
         if batch.texture is not None:
             raise UserError(f"{batch.keys[0]}: textured triangles, but this network knows one material per triangle")
-        reflectance = batch.material[:, :7]
-        material = self.material_proj(torch.cat([reflectance, batch.log_emission], dim=-1))
+        material = self.material_proj(torch.cat([batch.material[:, :7], self._emission(batch)], dim=-1))
         normals = self.normal_proj(self.normal_encoding(batch.normals.flatten(1)))
         return self.token + self.material_norm(material) + self.normal_norm(normals)
+
+    def _emission(self, batch: RaggedBatch) -> Float[Tensor, "m 3"]:
+        return batch.log_emission
+
+
+class LightlessEmbedding(TriangleEmbedding):
+    """As TriangleEmbedding, of geometry and reflectance alone, for networks that are linear in light."""
+
+    def _emission(self, batch: RaggedBatch) -> Float[Tensor, "m 3"]:
+        return torch.zeros_like(batch.log_emission)
 
 
 class TexturePatchEmbedding(nn.Module):

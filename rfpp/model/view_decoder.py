@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import cycle
 
 import numpy as np
-import torch
 import torch.nn.functional as F
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
-from rfpp.batch import Segments, on_device
-from rfpp.gbuffer.first_hit import CHANNELS, LIGHT_CHANNELS
 from rfpp.model.attention import AttentionPattern
 from rfpp.model.block import CrossAttention, RMSNorm, SelfAttention, SwiGLU
 from rfpp.model.camera_space import to_camera
@@ -24,7 +21,8 @@ from rfpp.model.ray_bundle import CameraOrigin, FirstHitPosition, RayBundleEmbed
 from rfpp.model.ray_windows import ShiftedWindows, WholeView
 from rfpp.model.shading import LightBeyondDirect, LightBeyondReflection, LogRadiance, ReflectedLight
 from rfpp.model.tokenizer import SceneTokens
-from rfpp.radiance import log_encode
+from rfpp.model.view_channels import ViewChannels
+from rfpp.segments import Segments, on_device
 
 
 class ViewDecoder(nn.Module):
@@ -88,10 +86,9 @@ class ViewDecoder(nn.Module):
         """
         batch, views, _, *size = gbuffer.shape
         height, width = (points // supersampling for points in size)
-        gbuffer, unit = gbuffer.flatten(0, 1), exposure.repeat_interleave(views)
-        of_points = of_pixels = self._split_channels(gbuffer, unit)
-        if supersampling > 1:
-            of_pixels = self._split_channels(F.avg_pool2d(gbuffer, supersampling), unit)
+        unit = exposure.repeat_interleave(views)
+        of_points = ViewChannels(gbuffer.flatten(0, 1), self.gbuffer_channels, unit)
+        of_pixels = of_points.pooled(supersampling)
         rays = self.rays(fov.flatten(), of_pixels(self.rays.gbuffer_channels))  # [B V, patches, D]
         patches = rays.shape[1]
         grid = (height // self.rays.patch_size, width // self.rays.patch_size)
@@ -111,9 +108,20 @@ class ViewDecoder(nn.Module):
             features.append(x)
 
         maps = [f.view(batch * views, *grid, -1).permute(0, 3, 1, 2) for f in features[-LEVELS:]]
-        predicted = _repeated(self.head(maps, height, width), supersampling)
-        radiance = _means(self.shading(predicted, of_points(self.shading.channels)), supersampling)
+        radiance = self._shaded(self.head(maps, height, width), scene, of_pixels, of_points, supersampling)
         return self.film(radiance).view(batch, views, 3, height, width)
+
+    def _shaded(
+        self,
+        maps: Float[Tensor, "n maps h w"],
+        scene: SceneTokens,
+        of_pixels: ViewChannels,
+        of_points: ViewChannels,
+        supersampling: int,
+    ) -> Float[Tensor, "n 3 h w"]:
+        """From the head's maps to linear radiance."""
+        predicted = repeated(maps, supersampling)
+        return means(self.shading(predicted, of_points(self.shading.channels)), supersampling)
 
     @property
     def gbuffer_channels(self) -> tuple[str, ...]:
@@ -121,28 +129,13 @@ class ViewDecoder(nn.Module):
         parts = (self.ray_position, self.shading)
         return tuple(dict.fromkeys([*self.rays.gbuffer_channels, *(name for part in parts for name in part.channels)]))
 
-    def _split_channels(
-        self, gbuffer: Float[Tensor, "n c h w"], exposure: Float[Tensor, " n"]
-    ) -> Callable[[Sequence[str]], Tensor]:
-        """names → those channels, [N, C', H, W], light as log10(1 + light / exposure).
 
-        Raises ValueError when the batch carries other channels than we read.
-        """
-        sizes = [CHANNELS[name] for name in self.gbuffer_channels]
-        if gbuffer.shape[1] != sum(sizes):
-            raise ValueError(f"{gbuffer.shape[1]} G-buffer channels where {self.gbuffer_channels} were expected")
-        named = dict(zip(self.gbuffer_channels, gbuffer.split(sizes, dim=1), strict=True))
-        unit = exposure[:, None, None, None]
-        named |= {name: log_encode(light / unit) for name, light in named.items() if name in LIGHT_CHANNELS}
-        return lambda names: torch.cat([gbuffer[:, :0], *(named[name] for name in names)], dim=1)
-
-
-def _means(points: Float[Tensor, "n c h w"], number: int) -> Float[Tensor, "n c height width"]:
+def means(points: Float[Tensor, "n c h w"], number: int) -> Float[Tensor, "n c height width"]:
     """From `number` points along each side of a pixel to pixels."""
     return points if number == 1 else F.avg_pool2d(points, number)
 
 
-def _repeated(pixels: Float[Tensor, "n c height width"], number: int) -> Float[Tensor, "n c h w"]:
+def repeated(pixels: Float[Tensor, "n c height width"], number: int) -> Float[Tensor, "n c h w"]:
     """A pixel's value at each of its points."""
     return pixels if number == 1 else F.interpolate(pixels, scale_factor=number, mode="nearest")
 

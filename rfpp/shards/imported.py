@@ -152,7 +152,7 @@ class ImportJob:
         stage = Stage(scene.triangles)
         gbuffers = stage.gbuffers(scene.c2w, scene.fov, images.shape[1], self.light_samples, seed)
         sample = SceneSample(
-            task.key, scene.triangles, scene.c2w, scene.fov, images, gbuffers, stage.object_light(), meta
+            task.key, scene.triangles, scene.c2w, scene.fov, images, gbuffers, stage.object_light(), stage.cells, meta
         )
         try:
             blocks = tar.pack(task.key, encode(sample))

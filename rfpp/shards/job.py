@@ -153,6 +153,7 @@ class SceneJob:
             images=images,
             gbuffers=stage.gbuffers(c2w, fov, self.data.resolution, self.data.light_samples, light),
             object_light=stage.object_light(),
+            cells=stage.cells,
             meta=self._meta(task, cameras, redraws),
         )
         return MadeScene(tar.pack(task.key, encode(sample)), len(triangles), triangles.num_objects, **redraws)

@@ -18,17 +18,30 @@ from safetensors.numpy import save as save_arrays
 
 from rfpp.errors import ShardError
 from rfpp.exr import HALF_MAX, ImageFileError, decode_exr, encode_exr
-from rfpp.gbuffer.first_hit import CHANNELS, DIRECT_CHANNELS, REFLECTION_CHANNELS, DirectLight, GBuffer, Reflection
+from rfpp.gbuffer.cells import Cells, parts
+from rfpp.gbuffer.first_hit import (
+    CELL_CHANNELS,
+    CELL_RAYS,
+    CHANNELS,
+    DIRECT_CHANNELS,
+    REFLECTION_CHANNELS,
+    DirectLight,
+    GBuffer,
+    Reflection,
+    SeenCells,
+)
 from rfpp.scene.triangles import SceneTriangles
 
 #: Raised whenever a member, a dtype or a meaning changes; data of another version is refused, never guessed at.
-SCHEMA_VERSION = 5
+SCHEMA_VERSION = 6
 
 #: From the sample's number of views to the numbers of those wanted.
 ViewChoice = Callable[[int], Iterable[int]]
 
 # A view's layers lie in several files, because a file is decoded whole: what training does not read is left alone.
-_IMAGE, _SURFACE, _LIGHT, _REFLECTION = (f"view{{}}{kind}.exr" for kind in ("", ".surface", ".light", ".reflection"))
+_IMAGE, _SURFACE, _LIGHT, _REFLECTION, _CELLS = (
+    f"view{{}}{kind}.exr" for kind in ("", ".surface", ".light", ".reflection", ".cells")
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,8 +54,9 @@ class SceneSample:
         c2w: [V, 4, 4] float32 camera-to-world, Blender axes.
         fov: [V] float32 degrees along the longer image side.
         images: [V, H, W, 3] float32 linear radiance; half-precision values once stored.
-        gbuffers: V G-buffers with their direct light and reflection.
+        gbuffers: V G-buffers with their direct light, their reflection and the cells they see.
         object_light: [O, 3] float32 radiance that leaves each object by the first bounce (`rfpp.gbuffer.object_light`).
+        cells: of the scene (`rfpp.gbuffer.cells`).
         meta: JSON-able: how the scene was made.
     """
 
@@ -53,6 +67,7 @@ class SceneSample:
     images: Float[np.ndarray, "v h w 3"]
     gbuffers: tuple[GBuffer, ...]
     object_light: Float[np.ndarray, "o 3"]
+    cells: Cells
     meta: dict
 
 
@@ -75,6 +90,7 @@ def encode(sample: SceneSample) -> dict[str, bytes]:
         "meta.json": json.dumps(meta, sort_keys=True, indent=1, allow_nan=False).encode(),
         "geometry.safetensors": save_arrays({name: np.ascontiguousarray(a) for name, a in geometry.items()}),
         "cameras.safetensors": save_arrays({name: np.ascontiguousarray(a) for name, a in cameras.items()}),
+        "cells.safetensors": save_arrays({name: np.ascontiguousarray(a) for name, a in parts(sample.cells).items()}),
     }
     for view, (image, gbuffer) in enumerate(zip(sample.images, sample.gbuffers, strict=True)):
         light = {"direct_diffuse": gbuffer.light.diffuse, "direct_glossy": gbuffer.light.glossy}
@@ -86,6 +102,9 @@ def encode(sample: SceneSample) -> dict[str, bytes]:
             "depth": gbuffer.depth.astype(np.float32),
             "triangle": (gbuffer.triangle + 1).astype(np.uint32),
         }
+        seen = {"diffuse_cells": gbuffer.cells.diffuse, "glossy_cells": gbuffer.cells.glossy}
+        rays = {f"{name}{ray}": cells[..., ray] for name, cells in seen.items() for ray in range(CELL_RAYS)}
+        members[_CELLS.format(view)] = encode_exr({name: (cell + 1).astype(np.uint32) for name, cell in rays.items()})
         members[_IMAGE.format(view)] = encode_exr({"RGB": image.astype(np.float16)})
         members[_SURFACE.format(view)] = encode_exr(surface)
         for member, layers in ((_LIGHT, light), (_REFLECTION, reflection)):
@@ -118,6 +137,7 @@ def decode(
             raise ShardError(f"{key}: not of schema version {SCHEMA_VERSION}: generate the data again")
         geometry = load_arrays(members["geometry.safetensors"])
         cameras = load_arrays(members["cameras.safetensors"])
+        cells = Cells(**load_arrays(members["cells.safetensors"]))
         views = list((choose or range)(len(cameras["fov"])))
 
         def layers(name: str, view: int) -> dict[str, np.ndarray]:
@@ -132,6 +152,7 @@ def decode(
             object_names=tuple(meta.pop("objects")),
         )
         _require_whole(triangles, geometry["object_light"], cameras)
+        _require_whole_cells(cells, triangles)
         return SceneSample(
             key=key,
             triangles=triangles,
@@ -140,6 +161,7 @@ def decode(
             images=np.stack([layers(_IMAGE, view)["RGB"] for view in views]).astype(np.float32),
             gbuffers=tuple(_gbuffer(partial(layers, view=view), channels) for view in views),
             object_light=geometry["object_light"],
+            cells=cells,
             meta=meta,
         )
     except KeyError as error:
@@ -165,6 +187,18 @@ def _require_whole(triangles: SceneTriangles, object_light: np.ndarray, cameras:
         raise ValueError("c2w is not of as many views as fov")
 
 
+def _require_whole_cells(cells: Cells, triangles: SceneTriangles) -> None:
+    """Raises ValueError where arrays do not fit each other."""
+    count = len(cells)
+    if any(len(array) != count for array in parts(cells).values()):
+        raise ValueError("cells' arrays are not of as many cells")
+    octants, hits = cells.octant, cells.hits
+    if count and (octants.min() < 0 or octants.max() >= 8 * triangles.num_objects):
+        raise ValueError("cells are of other objects")
+    if count and (hits.min() < -1 or hits.max() >= count):
+        raise ValueError("cells see others than there are")
+
+
 def _gbuffer(layers: Callable[[str], Mapping[str, np.ndarray]], channels: Collection[str]) -> GBuffer:
     """From the layers of a view's members, by their names."""
 
@@ -181,7 +215,14 @@ def _gbuffer(layers: Callable[[str], Mapping[str, np.ndarray]], channels: Collec
         depth=surface["depth"],
         light=part(DirectLight, _LIGHT, DIRECT_CHANNELS),
         reflection=part(Reflection, _REFLECTION, REFLECTION_CHANNELS),
+        cells=None if set(CELL_CHANNELS).isdisjoint(channels) else _seen_cells(layers(_CELLS)),
     )
+
+
+def _seen_cells(layers: Mapping[str, np.ndarray]) -> SeenCells:
+    """From the layers of the rays, by their names."""
+    rays = (np.stack([layers[f"{name}{ray}"] for ray in range(CELL_RAYS)], axis=-1) for name in CELL_CHANNELS)
+    return SeenCells(*(cells.astype(np.int32) - 1 for cells in rays))
 
 
 def _per_object_if_constant(triangles: SceneTriangles) -> np.ndarray:

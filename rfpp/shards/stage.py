@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import SupportsFloat
 
 import numpy as np
 from jaxtyping import Float
 
+from rfpp.gbuffer.cells import CellMap, Cells, find_cells
 from rfpp.gbuffer.direct_light import with_direct_light
 from rfpp.gbuffer.first_hit import GBuffer, camera_caster, first_hit
+from rfpp.gbuffer.gathering import with_cells
 from rfpp.gbuffer.light_sampler import LightSampler
 from rfpp.gbuffer.object_light import object_light
 from rfpp.gbuffer.reflection import with_reflection
@@ -39,6 +42,15 @@ class Stage:
         """Of every object (`rfpp.gbuffer.object_light`)."""
         return object_light(self._lights)
 
+    @property
+    def cells(self) -> Cells:
+        """Of the scene (`rfpp.gbuffer.cells`)."""
+        return self._cells[0]
+
+    @cached_property
+    def _cells(self) -> tuple[Cells, CellMap]:
+        return find_cells(self._lights)
+
     def gbuffers(
         self,
         c2w: Float[np.ndarray, "v 4 4"],
@@ -47,7 +59,7 @@ class Stage:
         samples: int,
         seed: np.random.SeedSequence,
     ) -> tuple[GBuffer, ...]:
-        """Of every camera, with direct light and reflection; each gets samples of its own."""
+        """Of every camera, with direct light, reflection and the cells seen; each gets samples of its own."""
         seeds = seed.generate_state(len(c2w)).tolist()
         return tuple(
             self._complete(pose, angle, resolution, samples, noise)
@@ -58,4 +70,5 @@ class Stage:
         self, c2w: Float[np.ndarray, "4 4"], fov: SupportsFloat, resolution: int, samples: int, seed: int
     ) -> GBuffer:
         lit = self.lit(self.first_hit(c2w, fov, resolution), c2w, fov, samples, seed)
-        return with_reflection(lit, c2w, fov, self._lights, samples, seed)
+        lit = with_reflection(lit, c2w, fov, self._lights, samples, seed)
+        return with_cells(lit, c2w, fov, self.triangles, self._lights.caster, self._cells[1], seed=seed)

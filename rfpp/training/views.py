@@ -31,6 +31,7 @@ def select_views(sample: SceneSample, views: Sequence[int], channels: Sequence[s
         gbuffer=np.stack(gbuffer),
         image=np.ascontiguousarray(sample.images[list(views)].transpose(0, 3, 1, 2)),
         object_light=sample.object_light,
+        cells=sample.cells,
     )
 
 
@@ -72,7 +73,8 @@ def moved(views: SceneViews, rotation: np.ndarray, translation: np.ndarray) -> S
     )
     move = np.eye(4)
     move[:3, :3], move[:3, 3] = rotation, translation
-    return replace(views, triangles=triangles, c2w=(move @ views.c2w).astype(np.float32))
+    cells = None if views.cells is None else views.cells.moved(rotation, translation)
+    return replace(views, triangles=triangles, c2w=(move @ views.c2w).astype(np.float32), cells=cells)
 
 
 class ColourPermutation:
@@ -93,7 +95,9 @@ class ColourPermutation:
             start += CHANNELS[name]
         triangles = replace(views.triangles, material=material)
         light = views.object_light[:, order]
-        return replace(views, triangles=triangles, gbuffer=gbuffer, image=views.image[:, order], object_light=light)
+        cells = None if views.cells is None else views.cells.recoloured(order)
+        image = views.image[:, order]
+        return replace(views, triangles=triangles, gbuffer=gbuffer, image=image, object_light=light, cells=cells)
 
 
 class TrainingViews(Dataset):

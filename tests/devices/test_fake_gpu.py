@@ -8,12 +8,13 @@ import torch
 from fake_gpu import GPU, fake_gpu, network_on
 from network_variants import PAPER, VARIANTS, batch_for, loss
 
-from rfpp.batch import RaggedBatch, on_device
+from rfpp.batch import RaggedBatch
 from rfpp.losses.transport_consistency import TransportConsistency
 from rfpp.model import attention
 from rfpp.model.exposure import ArrivingLight
 from rfpp.model.ray_windows import ShiftedWindows
 from rfpp.model.view_decoder import SeenTokens
+from rfpp.segments import on_device
 
 
 @pytest.fixture(params=VARIANTS.values(), ids=VARIANTS.keys())

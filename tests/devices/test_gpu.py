@@ -16,7 +16,6 @@ from small_data import make
 from training_runs import finish, start, train, wait_for_step
 
 from rfpp import Renderer, Scene
-from rfpp.batch import Segments
 from rfpp.model.attention import (
     DENSE_FROM,
     AttentionPattern,
@@ -25,6 +24,7 @@ from rfpp.model.attention import (
     attend_loop,
     attend_varlen,
 )
+from rfpp.segments import Segments
 from rfpp.training.blocks import RecomputedBlocks, RecomputedObjects
 
 

@@ -8,12 +8,13 @@ import torch
 from networks import network
 from random_scenes import random_views
 
-from rfpp.batch import RaggedBatch, Segments
+from rfpp.batch import RaggedBatch
 from rfpp.losses.transport_consistency import TransportConsistency
 from rfpp.model.block import RMSNorm
 from rfpp.model.encoding import FrequencyEncoding, RelativeSpatialEncoding, rotate
 from rfpp.model.tokenizer import mean_by_object, object_anchors
 from rfpp.model.transport import EmissionEncoder
+from rfpp.segments import Segments
 
 
 @pytest.fixture

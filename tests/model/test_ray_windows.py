@@ -3,9 +3,9 @@
 import pytest
 import torch
 
-from rfpp.batch import Segments
 from rfpp.model.attention import AttentionPattern, attend, attend_loop
 from rfpp.model.ray_windows import ShiftedWindows, WholeView
+from rfpp.segments import Segments
 
 CPU = torch.device("cpu")
 

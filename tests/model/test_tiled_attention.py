@@ -4,10 +4,10 @@ import pytest
 import torch
 from attention_inputs import random_qkv, values_and_gradients
 
-from rfpp.batch import Segments
 from rfpp.model import attention, tiled_attention
 from rfpp.model.attention import AttentionPattern, attend_bucketed, attend_loop
 from rfpp.model.tiled_attention import TiledAttention
+from rfpp.segments import Segments
 
 
 def tiled(q, k, v, real):

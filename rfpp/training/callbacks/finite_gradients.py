@@ -12,9 +12,10 @@ from safetensors.torch import save
 from torch import Tensor
 from torch.optim import Optimizer
 
-from rfpp.batch import RaggedBatch, Segments
+from rfpp.batch import RaggedBatch
 from rfpp.errors import UserError
 from rfpp.scene.files import write_atomically
+from rfpp.segments import Segments
 
 
 class NonFiniteGradientError(UserError):

@@ -1,0 +1,113 @@
+"""How a scene's surfaces are divided into cells: pieces small enough to be of one brightness."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from rfpp.scene.triangles import SceneTriangles
+
+#: Half an object is cut into so many pieces along an axis that they are about this long, in world units; 4 at most.
+CELL_EDGE = 0.2
+_MOST_PIECES = 4
+#: Moments that differ by less than this share are of a symmetric object, whose axes they do not tell.
+_SYMMETRIC = 1e-3
+#: Directions of a triangle in its object's axes: forwards or backwards along one of three; and its two sides.
+_DIRECTIONS, _SIDES = 6, 2
+
+
+@dataclass(frozen=True, eq=False)
+class CellGrid:
+    """Every object cut up along its own principal axes, so that cells move with it.
+
+    A cell is a box of an object's grid and, of the surface in it, what faces one way: walls that meet in a corner are
+    lit differently, and so are the two sides of a sheet.
+
+    Attributes:
+        triangles: the scene.
+        centroid: [O, 3] of each object's surface.
+        axes: [O, 3, 3] rows: its principal axes, longest first.
+        half: [O, 3] how far it reaches along them.
+        pieces: [O, 3] into how many it is cut on either side of the centroid.
+    """
+
+    triangles: SceneTriangles
+    centroid: Float[np.ndarray, "o 3"]
+    axes: Float[np.ndarray, "o 3 3"]
+    half: Float[np.ndarray, "o 3"]
+    pieces: Int[np.ndarray, "o 3"]
+
+    @classmethod
+    def over(cls, triangles: SceneTriangles) -> CellGrid:
+        """The grid of a scene."""
+        bounds = triangles.object_offsets
+        parts = [triangles.positions[a:b].astype(np.float64) for a, b in pairwise(bounds)]
+        placed = [principal_axes(part) for part in parts]
+        centroid, axes = np.stack([c for c, _ in placed]), np.stack([a for _, a in placed])
+        reach = [np.abs((part.reshape(-1, 3) - c) @ a.T).max(0) for part, (c, a) in zip(parts, placed, strict=True)]
+        half = np.stack(reach)
+        pieces = np.clip(np.rint(half / CELL_EDGE), 1, _MOST_PIECES).astype(np.int64)
+        return cls(triangles, centroid, axes, half, pieces)
+
+    @cached_property
+    def _direction(self) -> Int[np.ndarray, " m"]:
+        """Which way each triangle faces, in its object's axes."""
+        corners = self.triangles.positions.astype(np.float64)
+        normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        local = np.einsum("mij,mj->mi", self.axes[self.triangles.object_index], normal)
+        axis = np.abs(local).argmax(-1)
+        return 2 * axis + (np.take_along_axis(local, axis[:, None], 1)[:, 0] < 0)
+
+    def keys(
+        self, triangle: Int[np.ndarray, " r"], point: Float[np.ndarray, "r 3"], back: np.ndarray
+    ) -> Int[np.ndarray, " r"]:
+        """A number for the cell of each point on the front or the back of a triangle; the same for the same cell."""
+        owner = self.triangles.object_index[triangle].astype(np.int64)
+        pieces, most = self.pieces[owner], 2 * _MOST_PIECES
+        local = np.einsum("rij,rj->ri", self.axes[owner], point - self.centroid[owner])
+        place = np.floor(local / np.maximum(self.half[owner], 1e-9) * pieces).astype(np.int64) + pieces
+        place = np.clip(place, 0, 2 * pieces - 1)
+        # octant first: it is what a token of HOCT stands for
+        octant = (place >= pieces) @ np.array([1, 2, 4])
+        box = (place[:, 0] * most + place[:, 1]) * most + place[:, 2]
+        key = (owner * 8 + octant) * most**3 + box
+        return (key * _DIRECTIONS + self._direction[triangle]) * _SIDES + back
+
+    @staticmethod
+    def octants(keys: Int[np.ndarray, " c"]) -> Int[np.ndarray, " c"]:
+        """8 · object + octant of each cell."""
+        return keys // ((2 * _MOST_PIECES) ** 3 * _DIRECTIONS * _SIDES)
+
+
+def principal_axes(corners: Float[np.ndarray, "m 3 3"]) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, "3 3"]]:
+    """Centroid of a surface and its principal axes, as rows, longest first, each towards the heavier tail.
+
+    Second moments are exact over triangles. Where a symmetric object leaves axes open, they point to the vertex that is
+    farthest: under any motion of the object, to one of those that its symmetry takes into each other.
+    """
+    area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=-1)
+    area = area / max(area.sum(), 1e-30)
+    centroid = area @ corners.mean(1)
+    spread = corners - centroid
+    total = spread.sum(1)
+    moment = (np.einsum("mci,mcj,m->ij", spread, spread, area) + np.einsum("mi,mj,m->ij", total, total, area)) / 12
+    size, vectors = np.linalg.eigh(moment)
+    vertices, axes = spread.reshape(-1, 3), []
+    open_axes = [vectors[:, k] for k in (2, 1, 0)]
+    sizes = size[::-1].tolist()
+    while open_axes:
+        alike = [axis for axis, s in zip(open_axes, sizes, strict=True) if sizes[0] - s <= _SYMMETRIC * size[-1]]
+        if len(alike) > 1:
+            within = vertices @ np.stack(alike).T
+            farthest = within[np.square(within).sum(-1).argmax()]
+            turned = np.linalg.qr(np.column_stack([farthest, np.eye(len(alike))]))[0].T @ np.stack(alike)
+            open_axes[: len(alike)] = list(turned)
+        axes.append(open_axes.pop(0))
+        sizes.pop(0)
+    rows = np.stack(axes)
+    tail = area @ ((corners.mean(1) - centroid) @ rows.T) ** 3
+    return centroid, rows * np.where(tail < 0, -1.0, 1.0)[:, None]

@@ -1,0 +1,105 @@
+"""Light transport that is linear in light: weights know geometry and materials, light passes through them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import torch
+import torch.nn.functional as F
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from rfpp.model.block import RMSNorm, SwiGLU
+from rfpp.model.form_factors import CastFormFactors, UnoccludedFormFactors
+from rfpp.model.lit_cells import LitCells
+from rfpp.model.precision import in_float32
+from rfpp.model.tokenizer import SceneTokens
+from rfpp.model.transport import Bounces, Transported, UnconstrainedTransport
+from rfpp.packed_cells import PackedCells
+
+#: A surface sends on at most so much of what arrives: with row sums of A of at most 1, energy never grows.
+HIGHEST_ALBEDO = 0.98
+
+
+class LinearTransport(nn.Module):
+    """L⁽ᵏ⁺¹⁾ = ρ ∘ (E + A L⁽ᵏ⁾) between the cells of a scene, K times.
+
+    Not in the paper, whose operator T moves features; here T = ρ ∘ A is a matrix. The scene tokens look at each other
+    first. A is the softmax, over the cells of a scene and what escapes, of log(form factor) plus a correction that is
+    learned from tokens and bounded: an unbounded one closes early in training, and stays closed. Of the specular
+    albedo a learned share counts, for light leaves cells as if they were dull.
+
+    Args:
+        encoder: between scene tokens.
+        width, hidden: of tokens, of the cells' SwiGLU.
+        rank: of the corrections.
+        bound: γ; corrections multiply by e^±γ at most.
+        iterations: K.
+        form_factors: CastFormFactors or UnoccludedFormFactors.
+    """
+
+    def __init__(
+        self,
+        encoder: UnconstrainedTransport,
+        width: int,
+        hidden: int,
+        rank: int,
+        bound: float,
+        iterations: int,
+        form_factors: CastFormFactors | UnoccludedFormFactors,
+    ):
+        super().__init__()
+        self.encoder, self.cell_features = encoder, CellFeatures(width, hidden)
+        self.corrections = nn.Linear(width, 2 * rank + 2, bias=False)
+        nn.init.zeros_(self.corrections.weight[rank : 2 * rank])  # starts as the form factors are
+        nn.init.zeros_(self.corrections.weight[2 * rank :])
+        self.rank, self.bound, self.iterations, self.form_factors = rank, bound, iterations, form_factors
+
+    def forward(self, tokens: SceneTokens) -> Transported:
+        lit, (_, states) = self.each(tokens, self.iterations + self.training)
+        return Transported(lit[self.iterations], states[1:])
+
+    def each(self, tokens: SceneTokens, count: int) -> tuple[list[SceneTokens], Bounces]:
+        """The tokens with ⁽ᵏ⁾L on their cells, k = 0 … `count`, and these."""
+        tokens, cells = self.encoder(tokens).tokens, tokens.cells
+        features = self.cell_features(tokens.features, cells)
+        with in_float32(features):
+            couplings, reflectance = self._operator(features.float(), cells)
+            start = reflectance * cells.arriving
+            states = [start]
+            for _ in range(count):
+                gathered = cells.packed(couplings @ cells.padded(states[-1]))
+                states.append(start + reflectance * gathered)
+        lit = [replace(tokens, cells=LitCells(cells, features, start, light)) for light in states]
+        return lit, Bounces(torch.zeros_like(start), tuple(states))
+
+    def _operator(
+        self, features: Float[Tensor, "c width"], cells: PackedCells
+    ) -> tuple[Float[Tensor, "b c c"], Float[Tensor, "c 3"]]:
+        """A of every scene, padded, and ρ of every cell."""
+        projected = F.linear(features, self.corrections.weight.float())
+        query, key, escape, shine = projected.split([self.rank, self.rank, 1, 1], dim=-1)
+        seen, escaping = self.form_factors(cells)
+        score = cells.padded(query) @ cells.padded(key).transpose(1, 2) / self.rank**0.5
+        weight = seen * self._gain(score)
+        sink = escaping * self._gain(cells.padded(escape)[..., 0])
+        couplings = weight / (weight.sum(-1) + sink).clamp_min(1e-12)[..., None]
+        reflectance = (cells.diffuse + cells.specular * self._gain(shine)).clamp(max=HIGHEST_ALBEDO)
+        return couplings, reflectance
+
+    def _gain(self, score: Tensor) -> Tensor:
+        return torch.exp(self.bound * torch.tanh(score))
+
+
+class CellFeatures(nn.Module):
+    """What a cell's token says of the cell: the token, and where in its object the cell lies and faces."""
+
+    def __init__(self, width: int, hidden: int):
+        super().__init__()
+        self.place = nn.Linear(7, width)
+        self.norm, self.feed_forward, self.out_norm = RMSNorm(width), SwiGLU(width, hidden), RMSNorm(width)
+
+    def forward(self, tokens: Float[Tensor, "n width"], cells: PackedCells) -> Float[Tensor, "c width"]:
+        size = cells.area.clamp_min(1e-8).sqrt().log()[:, None]
+        x = tokens[cells.octant] + self.place(torch.cat([cells.centre, cells.normal, size], dim=-1))
+        return self.out_norm(x + self.feed_forward(self.norm(x)))

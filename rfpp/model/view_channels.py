@@ -1,0 +1,61 @@
+"""The channels of a batch of views by their names."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import torch
+import torch.nn.functional as F
+from jaxtyping import Float
+from torch import Tensor
+
+from rfpp.gbuffer.first_hit import CELL_CHANNELS, CHANNELS, LIGHT_CHANNELS
+from rfpp.radiance import log_encode
+
+
+@dataclass(frozen=True)
+class ViewChannels:
+    """G-buffers of N views.
+
+    Attributes:
+        gbuffer: the channels `names` stacked.
+        exposure: [N] radiance that the network calls 1.
+    """
+
+    gbuffer: Float[Tensor, "n c h w"]
+    names: Sequence[str]
+    exposure: Float[Tensor, " n"]
+
+    def __post_init__(self) -> None:
+        """Raises ValueError when there are other channels than named."""
+        if self.gbuffer.shape[1] != sum(CHANNELS[name] for name in self.names):
+            raise ValueError(f"{self.gbuffer.shape[1]} G-buffer channels where {tuple(self.names)} were expected")
+
+    def __call__(self, names: Sequence[str]) -> Float[Tensor, "n c h w"]:
+        """Some of the channels, light as log10(1 + light / exposure)."""
+        unit = self.exposure[:, None, None, None]
+        return self._stacked([log_encode(x / unit) if n in LIGHT_CHANNELS else x for n, x in self._each(names)])
+
+    def linear(self, names: Sequence[str]) -> Float[Tensor, "n c h w"]:
+        """Some of the channels, light in units of the exposure."""
+        unit = self.exposure[:, None, None, None]
+        return self._stacked([x / unit if n in LIGHT_CHANNELS else x for n, x in self._each(names)])
+
+    def pooled(self, points: int) -> ViewChannels:
+        """Pixels of so many points along each side: means, and of cells, which all points know, those of one."""
+        if points == 1:
+            return self
+        pooled = [
+            x[..., ::points, ::points] if n in CELL_CHANNELS else F.avg_pool2d(x, points)
+            for n, x in self._each(self.names)
+        ]
+        return replace(self, gbuffer=torch.cat(pooled, dim=1))
+
+    def _each(self, names: Sequence[str]) -> list[tuple[str, Float[Tensor, "n _ h w"]]]:
+        parts = self.gbuffer.split([CHANNELS[name] for name in self.names], dim=1)
+        named = dict(zip(self.names, parts, strict=True))
+        return [(name, named[name]) for name in names]
+
+    def _stacked(self, parts: Sequence[Tensor]) -> Float[Tensor, "n c h w"]:
+        return torch.cat([self.gbuffer[:, :0], *parts], dim=1)

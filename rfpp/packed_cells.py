@@ -1,0 +1,84 @@
+"""The cells of many scenes, packed end to end."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from rfpp.gbuffer.cells import Cells, parts
+from rfpp.segments import Segments, on_device
+
+
+@dataclass(frozen=True)
+class PackedCells:
+    """C cells of B scenes; see `rfpp.gbuffer.cells.Cells`.
+
+    Attributes:
+        octant: [C] int64, 8 · object of the batch + octant.
+        centre, normal, diffuse, specular, emitted, arriving: [C, 3].
+        area, roughness: [C].
+        hits: [C, R] int64, cells of the same scene, counted from its first; -1 for none.
+        scenes: B segments of the cells.
+    """
+
+    octant: Int[Tensor, " c"]
+    centre: Float[Tensor, "c 3"]
+    normal: Float[Tensor, "c 3"]
+    area: Float[Tensor, " c"]
+    diffuse: Float[Tensor, "c 3"]
+    specular: Float[Tensor, "c 3"]
+    roughness: Float[Tensor, " c"]
+    emitted: Float[Tensor, "c 3"]
+    arriving: Float[Tensor, "c 3"]
+    hits: Int[Tensor, "c rays"]
+    scenes: Segments
+
+    @classmethod
+    def pack(cls, cells: Sequence[Cells], objects: Sequence[int]) -> PackedCells:
+        """Of scenes with so many objects."""
+        columns = [parts(of_scene) for of_scene in cells]
+        packed = {name: torch.from_numpy(np.concatenate([column[name] for column in columns])) for name in columns[0]}
+        before = np.repeat(np.cumsum(objects) - objects, [len(of_scene) for of_scene in cells])
+        packed["octant"] = packed["octant"].long() + 8 * torch.from_numpy(before)
+        packed["hits"] = packed["hits"].long()
+        return cls(**packed, scenes=Segments.from_lengths([len(of_scene) for of_scene in cells]))
+
+    def __len__(self) -> int:
+        return len(self.area)
+
+    def dimmed(self, factor: Float[Tensor, " b"]) -> PackedCells:
+        """Every scene's light divided by its factor."""
+        per_cell = factor[self.scenes.index][:, None]
+        return replace(self, emitted=self.emitted / per_cell, arriving=self.arriving / per_cell)
+
+    @cached_property
+    def _rows(self) -> tuple[Int[Tensor, "b longest"], Bool[Tensor, "b longest"]]:
+        """Which cell stands at each place of [B, longest], and whether one does."""
+        lengths = np.array(self.scenes.lengths)
+        places = np.arange(max(1, lengths.max(initial=0)))
+        real = places < lengths[:, None]
+        rows = np.where(real, (np.cumsum(lengths) - lengths)[:, None] + places, 0)
+        return on_device(rows, self.area.device), on_device(real, self.area.device)
+
+    def padded(self, values: Float[Tensor, c * features]) -> Float[Tensor, "b longest *features"]:
+        """Scene by scene, zeros where a scene has no more cells."""
+        rows, real = self._rows
+        if not len(self):
+            return values.new_zeros(*rows.shape, *values.shape[1:])
+        return values[rows] * real.view(*real.shape, *(1,) * (values.ndim - 1)).to(values.dtype)
+
+    def packed(self, values: Float[Tensor, "b longest *features"]) -> Float[Tensor, c * features]:
+        """The inverse of `padded`."""
+        return values[self._rows[1]]
+
+    def to(self, device: torch.device | str, **kwargs) -> PackedCells:
+        return PackedCells(**{field.name: getattr(self, field.name).to(device, **kwargs) for field in fields(self)})
+
+    def pin_memory(self) -> PackedCells:
+        return PackedCells(**{field.name: getattr(self, field.name).pin_memory() for field in fields(self)})
