@@ -15,6 +15,9 @@ from rfpp.gbuffer.raycast import RayCaster
 from rfpp.gbuffer.surface import Surface, chunks, lattice, local
 from rfpp.scene.triangles import SceneTriangles
 
+#: Pixels along each side of a tile.
+_TILE = 4
+
 
 def with_cells(
     gbuffer: GBuffer,
@@ -44,17 +47,29 @@ def with_cells(
     number[gbuffer.hit] = np.arange(len(surface))
     by_pixel = number.reshape(height, points, width, points).swapaxes(1, 2).reshape(height * width, -1)
     start = by_pixel[:, np.arange(CELL_RAYS) % points**2]
+    random = _directions(height, width, rng)
     seen = np.full((2, height * width, CELL_RAYS), NOWHERE, np.int32)
     for rows in chunks(height * width, CELL_RAYS):
         hit = start[rows] >= 0
         rays = surface.part(start[rows][hit])
-        random = lattice(CELL_RAYS, rng.random((len(hit), 2)))[hit]
-        seen[0, rows][hit] = _diffuse(rays, caster, cells, random)
+        seen[0, rows][hit] = _diffuse(rays, caster, cells, random[rows][hit])
         # each ray of a pixel is absorbed above a threshold of its own
         threshold = rng.permuted((np.arange(CELL_RAYS) + rng.random((len(hit), 1))) / CELL_RAYS, axis=1)[hit]
-        seen[1, rows][hit] = _glossy(rays, caster, cells, random, threshold)
+        seen[1, rows][hit] = _glossy(rays, caster, cells, random[rows][hit], threshold)
     seen = seen.reshape(2, height, width, CELL_RAYS).repeat(points, axis=1).repeat(points, axis=2)
     return replace(gbuffer, cells=SeenCells(*seen))
+
+
+def _directions(height: int, width: int, rng: np.random.Generator) -> Float[np.ndarray, "p rays 2"]:
+    """Points of the unit square for the rays of every pixel; those of a tile's pixels together are one lattice.
+
+    What a pixel's few rays miss, its neighbours' find, which share what they gather.
+    """
+    rows, columns = np.divmod(np.arange(height * width), width)
+    tile, tiles = (rows // _TILE) * -(-width // _TILE) + columns // _TILE, -(-height // _TILE) * -(-width // _TILE)
+    points = lattice(CELL_RAYS * _TILE**2, rng.random((tiles, 2)))
+    first = (rows % _TILE) * _TILE + columns % _TILE
+    return points[tile[:, None], first[:, None] + _TILE**2 * np.arange(CELL_RAYS)]
 
 
 def _diffuse(

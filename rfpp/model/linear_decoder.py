@@ -12,14 +12,21 @@ from rfpp.model.view_channels import ViewChannels
 from rfpp.model.view_decoder import ViewDecoder, means, repeated
 
 #: What is known of a pixel: reflectances, its first bounce, and that of what it reflects.
-_KNOWN = ("albedo", "specular", "direct_diffuse", "direct_glossy", "reflected_light")
+KNOWN = ("albedo", "specular", "direct_diffuse", "direct_glossy", "reflected_light")
+
+
+def radiance_of(view: ViewChannels, gathered: Float[Tensor, "n 6 h w"]) -> Float[Tensor, "n 3 h w"]:
+    """albedo · (known + gathered diffuse light) + specular · (known + gathered glossy light)."""
+    albedo, specular, diffuse, glossy, reflected = view.linear(KNOWN).chunk(5, dim=1)
+    more_diffuse, more_glossy = gathered.chunk(2, dim=1)
+    return albedo * (diffuse + more_diffuse) + specular * (glossy + reflected + more_glossy)
 
 
 class LinearViewDecoder(ViewDecoder):
     """As ViewDecoder, but it reads no light, and its maps say how much light a pixel gathers of which cells.
 
-    Not in the paper. Radiance is albedo · (known + gathered diffuse light) + specular · (known + gathered glossy
-    light); nothing is added past the cells, so the image is linear in the lights.
+    Not in the paper. To the light that is known, gathered light is added, and nothing past the cells: the image is
+    linear in the lights.
 
     Args:
         shading: from maps and cells to gathered light.
@@ -40,11 +47,8 @@ class LinearViewDecoder(ViewDecoder):
     ) -> Float[Tensor, "n 3 h w"]:
         with in_float32(maps):
             gathered = self.shading(maps, of_pixels.linear(self.shading.channels), scene.cells)
-        more_diffuse, more_glossy = repeated(gathered, supersampling).chunk(2, dim=1)
-        albedo, specular, diffuse, glossy, reflected = of_points.linear(_KNOWN).chunk(5, dim=1)
-        radiance = albedo * (diffuse + more_diffuse) + specular * (glossy + reflected + more_glossy)
-        return means(radiance, supersampling)
+        return means(radiance_of(of_points, repeated(gathered, supersampling)), supersampling)
 
     @property
     def gbuffer_channels(self) -> tuple[str, ...]:
-        return tuple(dict.fromkeys([*super().gbuffer_channels, *_KNOWN]))
+        return tuple(dict.fromkeys([*super().gbuffer_channels, *KNOWN]))

@@ -66,12 +66,9 @@ class LinearTransport(nn.Module):
         with in_float32(features):
             couplings, reflectance = self._operator(features.float(), cells)
             start = reflectance * cells.arriving
-            states = [start]
-            for _ in range(count):
-                gathered = cells.packed(couplings @ cells.padded(states[-1]))
-                states.append(start + reflectance * gathered)
+            states = light_after(start, reflectance, couplings, cells, count)
         lit = [replace(tokens, cells=LitCells(cells, features, start, light)) for light in states]
-        return lit, Bounces(torch.zeros_like(start), tuple(states))
+        return lit, Bounces(torch.zeros_like(start), states)
 
     def _operator(
         self, features: Float[Tensor, "c width"], cells: PackedCells
@@ -89,6 +86,24 @@ class LinearTransport(nn.Module):
 
     def _gain(self, score: Tensor) -> Tensor:
         return torch.exp(self.bound * torch.tanh(score))
+
+
+def light_after(
+    start: Float[Tensor, "c 3"],
+    reflectance: Float[Tensor, "c 3"],
+    couplings: Float[Tensor, "b c c"],
+    cells: PackedCells,
+    count: int,
+) -> tuple[Float[Tensor, "c 3"], ...]:
+    """⁽⁰⁾L = `start`, ⁽¹⁾L … of `count` applications: ⁽ᵏ⁺¹⁾L = ⁽⁰⁾L + ρ ∘ A ⁽ᵏ⁾L.
+
+    Args:
+        couplings: A of every scene, padded.
+    """
+    states = [start]
+    for _ in range(count):
+        states.append(start + reflectance * cells.packed(couplings @ cells.padded(states[-1])))
+    return tuple(states)
 
 
 class CellFeatures(nn.Module):

@@ -73,9 +73,9 @@ class RenderFormerPP(nn.Module):
         self.exposure = exposure
         self.source = source
 
-    def forward(self, batch: RaggedBatch) -> Rendering:
+    def forward(self, batch: RaggedBatch, supersampling: int = 1) -> Rendering:
         scenes = self.encode(batch)
-        log_radiance = self.view(scenes, batch.c2w, batch.fov, batch.gbuffer)
+        log_radiance = self.view(scenes, batch.c2w, batch.fov, batch.gbuffer, supersampling)
         tokens, cells = scenes.tokens, scenes.tokens.cells
         of_states = tokens.segments if cells is None else cells.cells.scenes
         return Rendering(log_radiance, scenes.transport_states, tokens.segments, of_states)

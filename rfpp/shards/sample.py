@@ -90,7 +90,7 @@ def encode(sample: SceneSample) -> dict[str, bytes]:
         "meta.json": json.dumps(meta, sort_keys=True, indent=1, allow_nan=False).encode(),
         "geometry.safetensors": save_arrays({name: np.ascontiguousarray(a) for name, a in geometry.items()}),
         "cameras.safetensors": save_arrays({name: np.ascontiguousarray(a) for name, a in cameras.items()}),
-        "cells.safetensors": save_arrays({name: np.ascontiguousarray(a) for name, a in parts(sample.cells).items()}),
+        "cells.safetensors": save_arrays({name: _stored(name, a) for name, a in parts(sample.cells).items()}),
     }
     for view, (image, gbuffer) in enumerate(zip(sample.images, sample.gbuffers, strict=True)):
         light = {"direct_diffuse": gbuffer.light.diffuse, "direct_glossy": gbuffer.light.glossy}
@@ -137,7 +137,8 @@ def decode(
             raise ShardError(f"{key}: not of schema version {SCHEMA_VERSION}: generate the data again")
         geometry = load_arrays(members["geometry.safetensors"])
         cameras = load_arrays(members["cameras.safetensors"])
-        cells = Cells(**load_arrays(members["cells.safetensors"]))
+        stored = load_arrays(members["cells.safetensors"])
+        cells = Cells(**(stored | {"hits": stored["hits"].astype(np.int32)}))
         views = list((choose or range)(len(cameras["fov"])))
 
         def layers(name: str, view: int) -> dict[str, np.ndarray]:
@@ -223,6 +224,12 @@ def _seen_cells(layers: Mapping[str, np.ndarray]) -> SeenCells:
     """From the layers of the rays, by their names."""
     rays = (np.stack([layers[f"{name}{ray}"] for ray in range(CELL_RAYS)], axis=-1) for name in CELL_CHANNELS)
     return SeenCells(*(cells.astype(np.int32) - 1 for cells in rays))
+
+
+def _stored(name: str, of_cells: np.ndarray) -> np.ndarray:
+    """An array of `Cells`: where rays end in as few bytes as hold it, and they are most of all."""
+    small = name == "hits" and len(of_cells) < np.iinfo(np.int16).max
+    return np.ascontiguousarray(of_cells, dtype=np.int16 if small else of_cells.dtype)
 
 
 def _per_object_if_constant(triangles: SceneTriangles) -> np.ndarray:

@@ -1,0 +1,58 @@
+"""What gets worse when a part of a network is taken away? Parts that do nothing look like all others."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from rfpp.batch import RaggedBatch
+from rfpp.model.renderformer_pp import RenderFormerPP
+from rfpp.model.tokenizer import SceneTokens
+
+#: The scene tokens of another scene in place of its own; they keep their places, and the light they start with.
+EXCHANGED_TOKENS = "exchanged_tokens"
+#: The light of each scene's cells, dealt to them anew.
+PERMUTED_LIGHT = "permuted_light"
+#: The operator not applied at all: K = 0.
+NO_TRANSPORT = "no_transport"
+
+
+def impaired(
+    network: RenderFormerPP, batch: RaggedBatch, donor: Float[Tensor, "n width"], supersampling: int = 1
+) -> dict[str, Float[Tensor, "b v 3 h w"]]:
+    """log10(1 + radiance) with one part made useless at a time, by what was done; only what the network has.
+
+    Args:
+        network: in evaluation mode.
+        donor: scene tokens of other scenes, as many as there may be (`donated`).
+    """
+    exposure, tokens = network.tokenize(batch)
+
+    def view(tokens: SceneTokens) -> Float[Tensor, "b v 3 h w"]:
+        return network.view(network.transported(exposure, tokens), batch.c2w, batch.fov, batch.gbuffer, supersampling)
+
+    rows = torch.arange(len(tokens.features), device=donor.device) % len(donor)
+    images = {EXCHANGED_TOKENS: view(replace(tokens, features=donor[rows].to(tokens.features)))}
+    if tokens.cells is not None:
+        cells = tokens.cells
+        dealt = replace(cells, arriving=cells.arriving[_within_scenes(cells.scenes.index)])
+        images[PERMUTED_LIGHT] = view(replace(tokens, cells=dealt))
+    if network.iterations:
+        (still, *_), _ = network.transported_each(exposure, tokens, 0)
+        images[NO_TRANSPORT] = network.view(still, batch.c2w, batch.fov, batch.gbuffer, supersampling)
+    return images
+
+
+def donated(network: RenderFormerPP, batch: RaggedBatch) -> Float[Tensor, "n width"]:
+    """The scene tokens of a batch, before light has moved, to give to others."""
+    return network.tokenize(batch)[1].features
+
+
+def _within_scenes(scene: Tensor) -> Tensor:
+    """[C] a permutation of rows that keeps each in its scene; the same every time."""
+    keys = torch.rand(len(scene), generator=torch.Generator().manual_seed(0)).to(scene.device)
+    shuffled = keys.argsort()
+    return shuffled[scene[shuffled].argsort(stable=True)]

@@ -1,0 +1,60 @@
+"""The rival that learns nothing: radiosity between cells, added to the light that is known."""
+
+from __future__ import annotations
+
+import torch
+from torch import nn
+
+from rfpp.batch import RaggedBatch
+from rfpp.model.cell_gathering import CellGathering
+from rfpp.model.film import PixelFilter
+from rfpp.model.form_factors import CastFormFactors
+from rfpp.model.joint_window import JointWindow
+from rfpp.model.linear_decoder import KNOWN, radiance_of
+from rfpp.model.linear_transport import light_after
+from rfpp.model.lit_cells import LitCells
+from rfpp.model.renderformer_pp import Rendering
+from rfpp.model.view_channels import ViewChannels
+from rfpp.model.view_decoder import means, repeated
+from rfpp.radiance import log_encode
+
+
+class UnlearnedRadiosity(nn.Module):
+    """Everything of a network that is linear in light but what it learns; to be read beside every learned result.
+
+    Surfaces count as dull between cells, and pixels gather what their rays bring.
+
+    Args:
+        iterations: bounces between cells.
+    """
+
+    #: As a network has it.
+    patch_size = 1
+
+    def __init__(self, iterations: int = 8):
+        super().__init__()
+        self.iterations, self.form_factors, self.film = iterations, CastFormFactors(), PixelFilter(0.125)
+        self.gathering = CellGathering(width=1, rank=1, bound=0.0, window=JointWindow(2, 0.3, 0.01, 2.0))
+
+    @property
+    def gbuffer_channels(self) -> tuple[str, ...]:
+        return tuple(dict.fromkeys([*self.gathering.channels, *KNOWN]))
+
+    def forward(self, batch: RaggedBatch, supersampling: int = 1) -> Rendering:
+        """Raises ValueError where the batch does not carry cells."""
+        if batch.cells is None:
+            raise ValueError("radiosity moves light between cells, but the batch carries none")
+        cells, (scenes, views, _, *size) = batch.cells, batch.gbuffer.shape
+        height, width = (points // supersampling for points in size)
+        seen, _ = self.form_factors(cells)
+        reflectance = (cells.diffuse + cells.specular).clamp(max=1.0)
+        *_, light = states = light_after(reflectance * cells.arriving, reflectance, seen, cells, self.iterations)
+        lit = LitCells(cells, cells.area[:, None], states[0], light)
+        unit = torch.ones(scenes * views, device=light.device)
+        of_points = ViewChannels(batch.gbuffer.flatten(0, 1), self.gbuffer_channels, unit)
+        of_pixels = of_points.pooled(supersampling)
+        maps = light.new_zeros(scenes * views, self.gathering.maps, height, width)
+        gathered = self.gathering(maps, of_pixels.linear(self.gathering.channels), lit)
+        radiance = means(radiance_of(of_points, repeated(gathered, supersampling)), supersampling)
+        image = self.film(radiance).view(scenes, views, 3, height, width)
+        return Rendering(log_encode(image), states[1:], cells.scenes, cells.scenes)
