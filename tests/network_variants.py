@@ -14,6 +14,7 @@ PAPER = ("+experiment=large_scale", "size=tiny", *HEADS)
 VARIANTS = {
     "paper": PAPER,
     "quickstart": ("+experiment=quickstart", *HEADS),
+    "linear": ("+experiment=quickstart", "model=linear_light", *HEADS),
     "windows": (*PAPER, "+model.decoder.windows={_target_: rfpp.model.ray_windows.ShiftedWindows, size: 2}"),
     **{
         name: (f"+experiment=[large_scale,{name}]", "size=tiny", *HEADS)

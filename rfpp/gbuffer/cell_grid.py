@@ -16,6 +16,8 @@ CELL_EDGE = 0.2
 _MOST_PIECES = 4
 #: Moments that differ by less than this share are of a symmetric object, whose axes they do not tell.
 _SYMMETRIC = 1e-3
+#: An object that reaches less far along an axis than this share of its greatest reach is flat.
+_FLAT = 1e-4
 #: Directions of a triangle in its object's axes: forwards or backwards along one of three; and its two sides.
 _DIRECTIONS, _SIDES = 6, 2
 
@@ -69,7 +71,9 @@ class CellGrid:
         owner = self.triangles.object_index[triangle].astype(np.int64)
         pieces, most = self.pieces[owner], 2 * _MOST_PIECES
         local = np.einsum("rij,rj->ri", self.axes[owner], point - self.centroid[owner])
-        place = np.floor(local / np.maximum(self.half[owner], 1e-9) * pieces).astype(np.int64) + pieces
+        half = self.half[owner]
+        flat = half < _FLAT * half.max(-1, keepdims=True)  # rounding alone would say on which side a point lies
+        place = np.where(flat, 0, np.floor(local / np.maximum(half, 1e-9) * pieces)).astype(np.int64) + pieces
         place = np.clip(place, 0, 2 * pieces - 1)
         # octant first: it is what a token of HOCT stands for
         octant = (place >= pieces) @ np.array([1, 2, 4])
@@ -81,6 +85,11 @@ class CellGrid:
     def octants(keys: Int[np.ndarray, " c"]) -> Int[np.ndarray, " c"]:
         """8 · object + octant of each cell."""
         return keys // ((2 * _MOST_PIECES) ** 3 * _DIRECTIONS * _SIDES)
+
+    @classmethod
+    def coarse(cls, keys: Int[np.ndarray, " c"]) -> Int[np.ndarray, " c"]:
+        """A number for octant and side alone."""
+        return cls.octants(keys) * _SIDES + keys % _SIDES
 
 
 def principal_axes(corners: Float[np.ndarray, "m 3 3"]) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, "3 3"]]:

@@ -7,6 +7,7 @@ of where its own light goes, the ends of some rays: the form factors of Goral et
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -87,7 +88,21 @@ class CellMap:
         """The cell of each point on the front or the back of a triangle."""
         keys = self.grid.keys(triangle, point, back)
         row = np.searchsorted(self.keys, keys).clip(max=len(self.keys) - 1)
-        return np.where(self.keys[row] == keys, self.cell[row], NOWHERE)
+        # cells so small that none of our points lay there: any of their octant and side
+        other = np.searchsorted(self._coarse_keys, self.grid.coarse(keys)).clip(max=len(self._coarse_keys) - 1)
+        known = self._coarse_keys[other] == self.grid.coarse(keys)
+        return np.where(
+            self.keys[row] == keys, self.cell[row], np.where(known, self.cell[self._coarse[other]], NOWHERE)
+        )
+
+    @cached_property
+    def _coarse(self) -> Int[np.ndarray, " k"]:
+        """Of the keys of each octant's side, the first."""
+        return np.unique(self.grid.coarse(self.keys), return_index=True)[1]
+
+    @cached_property
+    def _coarse_keys(self) -> Int[np.ndarray, " k"]:
+        return self.grid.coarse(self.keys[self._coarse])
 
     def of_hits(
         self, origin: Float[np.ndarray, "r 3"], way: Float[np.ndarray, "r 3"], hits: Hits

@@ -45,6 +45,7 @@ def _sample(key: str, seed: int, brightness: float) -> SceneSample:
         images=(brightness * np.stack(albedo)).astype(np.float16).astype(np.float32),
         gbuffers=gbuffers,
         object_light=stage.object_light(),
+        cells=stage.cells,
         meta={},
     )
 

@@ -16,8 +16,9 @@ from rfpp.training.views import moved
 VARIANTS = {
     "paper": (),
     "quickstart": ("+experiment=quickstart",),
+    "linear": ("+experiment=quickstart", "model=linear_light"),
 }
-MOST_CHANNELS = 25
+MOST_CHANNELS = 40
 
 
 @pytest.fixture(params=VARIANTS.values(), ids=VARIANTS.keys())
@@ -52,7 +53,9 @@ def reordered(views: SceneViews, objects: list[int], rng: np.random.Generator | 
         object_offsets=np.concatenate([[0], np.cumsum([len(p) for p in pieces])]).astype(np.int32),
         object_names=tuple(old.object_names[o] for o in objects),
     )
-    return replace(views, triangles=triangles, object_light=views.object_light[objects])
+    owner, octant = np.divmod(views.cells.octant, 8)
+    cells = replace(views.cells, octant=(8 * np.argsort(objects)[owner] + octant).astype(np.int32))
+    return replace(views, triangles=triangles, object_light=views.object_light[objects], cells=cells)
 
 
 def test_object_order_does_not_matter(net):
@@ -72,6 +75,7 @@ def test_which_object_a_triangle_belongs_to_does_matter(net):
         views,
         triangles=replace(views.triangles, object_offsets=np.array([0, 20, 21], np.int32), object_names=("a", "b")),
         object_light=views.object_light[1:],
+        cells=replace(views.cells, octant=views.cells.octant // 2),
     )
     assert not torch.allclose(image(net, merged), image(net, views), rtol=1e-3, atol=1e-6)
 

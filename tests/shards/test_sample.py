@@ -25,7 +25,7 @@ def sample() -> SceneSample:
     gbuffers = stage.gbuffers(c2w, fov, 12, 2, np.random.SeedSequence(0))
     images = np.random.default_rng(3).exponential(0.5, (2, 12, 12, 3)).astype(np.float32)
     meta = {"family": "boxes", "index": 1}
-    return SceneSample("train-000001", triangles, c2w, fov, images, gbuffers, stage.object_light(), meta)
+    return SceneSample("train-000001", triangles, c2w, fov, images, gbuffers, stage.object_light(), stage.cells, meta)
 
 
 def test_round_trip(sample):
