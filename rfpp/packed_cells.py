@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, Shaped
 from torch import Tensor
 
 from rfpp.gbuffer.cells import Cells, parts
@@ -58,24 +58,24 @@ class PackedCells:
         return replace(self, emitted=self.emitted / per_cell, arriving=self.arriving / per_cell)
 
     @cached_property
-    def _rows(self) -> tuple[Int[Tensor, "b longest"], Bool[Tensor, "b longest"]]:
-        """Which cell stands at each place of [B, longest], and whether one does."""
+    def _rows(self) -> tuple[Int[Tensor, "b longest"], Bool[Tensor, "b longest"], Int[Tensor, " c"]]:
+        """Which cell stands at each place of [B, longest], whether one does, and where each cell stands."""
         lengths = np.array(self.scenes.lengths)
         places = np.arange(max(1, lengths.max(initial=0)))
         real = places < lengths[:, None]
         rows = np.where(real, (np.cumsum(lengths) - lengths)[:, None] + places, 0)
-        return on_device(rows, self.area.device), on_device(real, self.area.device)
+        return tuple(on_device(table, self.area.device) for table in (rows, real, np.flatnonzero(real)))
 
-    def padded(self, values: Float[Tensor, c * features]) -> Float[Tensor, "b longest *features"]:
+    def padded(self, values: Shaped[Tensor, c * features]) -> Shaped[Tensor, "b longest *features"]:
         """Scene by scene, zeros where a scene has no more cells."""
-        rows, real = self._rows
+        rows, real, _ = self._rows
         if not len(self):
             return values.new_zeros(*rows.shape, *values.shape[1:])
         return values[rows] * real.view(*real.shape, *(1,) * (values.ndim - 1)).to(values.dtype)
 
-    def packed(self, values: Float[Tensor, "b longest *features"]) -> Float[Tensor, c * features]:
+    def packed(self, values: Shaped[Tensor, "b longest *features"]) -> Shaped[Tensor, c * features]:
         """The inverse of `padded`."""
-        return values[self._rows[1]]
+        return values.flatten(0, 1)[self._rows[2]]
 
     def to(self, device: torch.device | str, **kwargs) -> PackedCells:
         return PackedCells(**{field.name: getattr(self, field.name).to(device, **kwargs) for field in fields(self)})

@@ -197,7 +197,7 @@ class TrainingStep:
             begin = setting.now()
             with setting.autocast():
                 made = network(batch)
-                terms = loss(made.log_radiance, made.transport_states, batch.image, made.token_segments)
+                terms = loss(made.log_radiance, made.transport_states, batch.image, made.state_segments)
             optimizer.zero_grad()  # where Lightning does it, which decides what memory holds at once
             terms["loss"].backward()
             nn.utils.clip_grad_norm_(network.parameters(), self.gradient_clip)

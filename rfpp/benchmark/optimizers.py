@@ -103,7 +103,7 @@ def _train(cfg: Mapping[str, Any], seed: int, every: int, split: str, setting: S
         moved = batch.to(setting.where)
         with setting.autocast():
             made = network(moved)
-            terms = loss(made.log_radiance, made.transport_states, moved.image, made.token_segments)
+            terms = loss(made.log_radiance, made.transport_states, moved.image, made.state_segments)
         optimizer.zero_grad()
         terms["loss"].backward()
         torch.nn.utils.clip_grad_norm_(network.parameters(), cfg["trainer"]["gradient_clip_val"])

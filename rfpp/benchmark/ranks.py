@@ -106,7 +106,7 @@ def _rank(
         for batch in packed:
             with torch.autocast("cpu", torch.bfloat16):
                 made = module(batch)
-            loss(made.log_radiance, made.transport_states, batch.image, made.token_segments)["loss"].backward()
+            loss(made.log_radiance, made.transport_states, batch.image, made.state_segments)["loss"].backward()
             optimizer.step()
             optimizer.zero_grad()
 

@@ -20,6 +20,8 @@ DIRECT_CHANNELS = ("direct_diffuse", "direct_glossy")
 REFLECTION_CHANNELS = ("reflected_light", "reflected_albedo")
 #: Channels of the cells that pixels see, in the units of `SeenCells`.
 CELL_CHANNELS = ("diffuse_cells", "glossy_cells")
+#: Channels of the light that pixels gather from cells, by lobe; networks find it themselves.
+GATHERED_CHANNELS = ("gathered_diffuse", "gathered_glossy")
 #: Rays to cells from each pixel and lobe.
 CELL_RAYS = 4
 #: Channels that hold light.

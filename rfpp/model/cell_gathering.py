@@ -11,12 +11,40 @@ from rfpp.model.joint_window import JointWindow
 from rfpp.model.lit_cells import LitCells
 
 
+class EvenGathering:
+    """Each pixel gathers the light of the cells its rays end in, and shares it with alike pixels around it.
+
+    A few rays of one pixel are noise; a window of pixels has enough of them.
+
+    Args:
+        window: of pixels.
+    """
+
+    def __init__(self, window: JointWindow):
+        self.window = window
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """What it needs of the G-buffer, in order."""
+        return (*CELL_CHANNELS, *self.window.channels)
+
+    def __call__(self, gbuffer: Float[Tensor, "n c h w"], cells: LitCells) -> Float[Tensor, "n 6 h w"]:
+        """Light that the diffuse and the glossy lobe gather, in N views, equally many of each scene.
+
+        Args:
+            gbuffer: `channels`.
+            cells: lit. The glossy lobe gathers what is beyond their first bounce: that one is in `reflected_light`.
+        """
+        lobes, guides = rays_of_lobes(gbuffer, cells, self.window)
+        gathered = [with_nothing(light)[rows].mean(1).permute(0, 3, 1, 2) for rows, light in lobes]
+        return self.window(torch.cat(gathered, dim=1), guides)
+
+
 class CellGathering(nn.Module):
-    """Each pixel gathers the light of the cells its rays end in, weighted by what decoder and cells say of each other.
+    """As EvenGathering, weighted by what decoder and cells say of each other.
 
     A weight is 1 / (number of rays) times exp(γ tanh(query · key + bias)): never negative, and bounded, as no part of
     the network can do without it. (It is not normalised over a pixel's few rays, which would tie it to their noise.)
-    The noise of the rays is then spread over a window of alike pixels.
 
     Args:
         width: of the cells' features.
@@ -42,23 +70,13 @@ class CellGathering(nn.Module):
         return (*CELL_CHANNELS, *self.window.channels)
 
     def forward(
-        self,
-        maps: Float[Tensor, "n maps h w"],
-        gbuffer: Float[Tensor, "n c h w"],
-        cells: LitCells,
+        self, maps: Float[Tensor, "n maps h w"], gbuffer: Float[Tensor, "n c h w"], cells: LitCells
     ) -> Float[Tensor, "n 6 h w"]:
-        """Light that both lobes gather, in N views, equally many of each scene.
-
-        Args:
-            gbuffer: `channels`.
-            cells: lit. The glossy lobe gathers what is beyond their first bounce: that one is in `reflected_light`.
-        """
-        rays = (gbuffer.shape[1] - self.window.size) // 2
-        diffuse, glossy, guides = gbuffer.split([rays, rays, self.window.size], dim=1)
+        """See EvenGathering."""
+        lobes, guides = rays_of_lobes(gbuffer, cells, self.window)
         keys = nn.functional.linear(cells.features.float(), self.keys.weight.float()).chunk(2, dim=-1)
-        light = (cells.light, cells.light - cells.start)
-        of_lobes = zip(maps.chunk(2, dim=1), (diffuse, glossy), keys, light, strict=True)
-        gathered = [self._gathered(m, cells.rows(ids), key, light) for m, ids, key, light in of_lobes]
+        of_lobes = zip(maps.chunk(2, dim=1), lobes, keys, strict=True)
+        gathered = [self._gathered(m, rows, key, light) for m, (rows, light), key in of_lobes]
         return self.window(torch.cat(gathered, dim=1), guides)
 
     def _gathered(
@@ -69,7 +87,27 @@ class CellGathering(nn.Module):
         light: Float[Tensor, "c 3"],
     ) -> Float[Tensor, "n 3 h w"]:
         query, bias = maps.split([self.rank, 1], dim=1)
-        keys, light = (torch.cat([x, x.new_zeros(1, x.shape[1])]) for x in (keys, light))  # the last row: nowhere
-        score = torch.einsum("nqhw,nrhwq->nrhw", query, keys[rows]) / self.rank**0.5
+        score = torch.einsum("nqhw,nrhwq->nrhw", query, with_nothing(keys)[rows]) / self.rank**0.5
         weight = torch.exp(self.bound * torch.tanh(score + bias)) / rows.shape[1]
-        return torch.einsum("nrhw,nrhwc->nchw", weight, light[rows])
+        return torch.einsum("nrhw,nrhwc->nchw", weight, with_nothing(light)[rows])
+
+
+Lobe = tuple[Int[Tensor, "n rays h w"], Float[Tensor, "c 3"]]
+
+
+def rays_of_lobes(
+    gbuffer: Float[Tensor, "n channels h w"], cells: LitCells, window: JointWindow
+) -> tuple[list[Lobe], Float[Tensor, "n guides h w"]]:
+    """Of the diffuse and the glossy lobe the cells that rays end in and the light there is for it; and guides.
+
+    Args:
+        gbuffer: the channels of cells and the window's.
+    """
+    rays = (gbuffer.shape[1] - window.size) // 2
+    diffuse, glossy, guides = gbuffer.split([rays, rays, window.size], dim=1)
+    return [(cells.rows(diffuse), cells.light), (cells.rows(glossy), cells.light - cells.start)], guides
+
+
+def with_nothing(of_cells: Float[Tensor, "c n"]) -> Float[Tensor, "c_plus_1 n"]:
+    """A last row of zeros, for rays that meet no cell."""
+    return torch.cat([of_cells, of_cells.new_zeros(1, of_cells.shape[1])])

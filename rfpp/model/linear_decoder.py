@@ -1,11 +1,13 @@
-"""The view-dependent stage of a network that is linear in light."""
+"""The view-dependent stage of networks whose light comes from cells."""
 
 from __future__ import annotations
 
+import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from rfpp.model.cell_gathering import CellGathering
+from rfpp.gbuffer.first_hit import GATHERED_CHANNELS
+from rfpp.model.cell_gathering import CellGathering, EvenGathering
 from rfpp.model.precision import in_float32
 from rfpp.model.tokenizer import SceneTokens
 from rfpp.model.view_channels import ViewChannels
@@ -15,11 +17,17 @@ from rfpp.model.view_decoder import ViewDecoder, means, repeated
 KNOWN = ("albedo", "specular", "direct_diffuse", "direct_glossy", "reflected_light")
 
 
-def radiance_of(view: ViewChannels, gathered: Float[Tensor, "n 6 h w"]) -> Float[Tensor, "n 3 h w"]:
-    """albedo · (known + gathered diffuse light) + specular · (known + gathered glossy light)."""
+def radiance_of(
+    view: ViewChannels, gathered: Float[Tensor, "n 6 h w"], factors: Float[Tensor, "n 6 h w"] | float = 1.0
+) -> Float[Tensor, "n 3 h w"]:
+    """albedo · (known + gathered diffuse light) + specular · (known + gathered glossy light).
+
+    Args:
+        factors: of the known light.
+    """
     albedo, specular, diffuse, glossy, reflected = view.linear(KNOWN).chunk(5, dim=1)
-    more_diffuse, more_glossy = gathered.chunk(2, dim=1)
-    return albedo * (diffuse + more_diffuse) + specular * (glossy + reflected + more_glossy)
+    diffuse, glossy = (factors * torch.cat([diffuse, glossy + reflected], dim=1) + gathered).chunk(2, dim=1)
+    return albedo * diffuse + specular * glossy
 
 
 class LinearViewDecoder(ViewDecoder):
@@ -52,3 +60,62 @@ class LinearViewDecoder(ViewDecoder):
     @property
     def gbuffer_channels(self) -> tuple[str, ...]:
         return tuple(dict.fromkeys([*super().gbuffer_channels, *KNOWN]))
+
+
+class CorrectedViewDecoder(ViewDecoder):
+    """As ViewDecoder, but rays read the light that is known and gathered, and its maps are factors of it.
+
+    Not in the paper. Four factors, exp(γ tanh(map)), of the known and the gathered light of both lobes, which carry the
+    noise of their samples and what cells are too coarse for. Nothing is added: without light it stays black. The image
+    is linear in the brightness of all lights (with `ArrivingLight`), no longer in each light.
+
+    Args:
+        gathering: from cells to pixels.
+        shading: see `BoundedFactors`.
+        others: see ViewDecoder; its `gbuffer_channels` may name GATHERED_CHANNELS.
+    """
+
+    def __init__(self, *, gathering: EvenGathering, shading: BoundedFactors, **others):
+        super().__init__(**others, shading=shading)
+        self.gathering = gathering
+        nn.init.zeros_(self.head.out[-1].bias)
+
+    def _completed(self, of_pixels: ViewChannels, scene: SceneTokens) -> ViewChannels:
+        with in_float32(of_pixels.gbuffer):
+            gathered = self.gathering(of_pixels.linear(self.gathering.channels), scene.cells)
+        return of_pixels.with_gathered(gathered * of_pixels.exposure[:, None, None, None])
+
+    def _shaded(
+        self,
+        maps: Float[Tensor, "n maps h w"],
+        scene: SceneTokens,
+        of_pixels: ViewChannels,
+        of_points: ViewChannels,
+        supersampling: int,
+    ) -> Float[Tensor, "n 3 h w"]:
+        of_known, of_gathered = self.shading(maps).chunk(2, dim=1)
+        gathered = of_gathered.repeat_interleave(3, dim=1) * of_pixels.linear(GATHERED_CHANNELS)
+        known = repeated(of_known.repeat_interleave(3, dim=1), supersampling)
+        return means(radiance_of(of_points, repeated(gathered, supersampling), known), supersampling)
+
+    @property
+    def gbuffer_channels(self) -> tuple[str, ...]:
+        read = [*super().gbuffer_channels, *self.gathering.channels, *KNOWN]
+        return tuple(name for name in dict.fromkeys(read) if name not in GATHERED_CHANNELS)
+
+
+class BoundedFactors:
+    """exp(γ tanh(map)): of the known diffuse and glossy light, and of the gathered.
+
+    Args:
+        bound: γ.
+    """
+
+    maps = 4
+    channels: tuple[str, ...] = ()
+
+    def __init__(self, bound: float):
+        self.bound = bound
+
+    def __call__(self, maps: Float[Tensor, "n 4 h w"]) -> Float[Tensor, "n 4 h w"]:
+        return torch.exp(self.bound * torch.tanh(maps))

@@ -62,7 +62,7 @@ class LinearTransport(nn.Module):
     def each(self, tokens: SceneTokens, count: int) -> tuple[list[SceneTokens], Bounces]:
         """The tokens with ⁽ᵏ⁾L on their cells, k = 0 … `count`, and these."""
         tokens, cells = self.encoder(tokens).tokens, tokens.cells
-        features = self.cell_features(tokens.features, cells)
+        features = self.cell_features(tokens, cells)
         with in_float32(features):
             couplings, reflectance = self._operator(features.float(), cells)
             start = reflectance * cells.arriving
@@ -72,7 +72,7 @@ class LinearTransport(nn.Module):
 
     def _operator(
         self, features: Float[Tensor, "c width"], cells: PackedCells
-    ) -> tuple[Float[Tensor, "b c c"], Float[Tensor, "c 3"]]:
+    ) -> tuple[Float[Tensor, "b longest longest"], Float[Tensor, "c 3"]]:
         """A of every scene, padded, and ρ of every cell."""
         projected = F.linear(features, self.corrections.weight.float())
         query, key, escape, shine = projected.split([self.rank, self.rank, 1, 1], dim=-1)
@@ -91,7 +91,7 @@ class LinearTransport(nn.Module):
 def light_after(
     start: Float[Tensor, "c 3"],
     reflectance: Float[Tensor, "c 3"],
-    couplings: Float[Tensor, "b c c"],
+    couplings: Float[Tensor, "b longest longest"],
     cells: PackedCells,
     count: int,
 ) -> tuple[Float[Tensor, "c 3"], ...]:
@@ -114,7 +114,9 @@ class CellFeatures(nn.Module):
         self.place = nn.Linear(7, width)
         self.norm, self.feed_forward, self.out_norm = RMSNorm(width), SwiGLU(width, hidden), RMSNorm(width)
 
-    def forward(self, tokens: Float[Tensor, "n width"], cells: PackedCells) -> Float[Tensor, "c width"]:
+    def forward(self, tokens: SceneTokens, cells: PackedCells) -> Float[Tensor, "c width"]:
         size = cells.area.clamp_min(1e-8).sqrt().log()[:, None]
-        x = tokens[cells.octant] + self.place(torch.cat([cells.centre, cells.normal, size], dim=-1))
+        within = cells.centre - tokens.points[cells.octant, 3:6]  # from the object's centroid
+        place = self.place(torch.cat([within, cells.normal, size], dim=-1))
+        x = tokens.features[cells.octant] + place
         return self.out_norm(x + self.feed_forward(self.norm(x)))

@@ -6,7 +6,7 @@ import torch
 from torch import nn
 
 from rfpp.batch import RaggedBatch
-from rfpp.model.cell_gathering import CellGathering
+from rfpp.model.cell_gathering import EvenGathering
 from rfpp.model.film import PixelFilter
 from rfpp.model.form_factors import CastFormFactors
 from rfpp.model.joint_window import JointWindow
@@ -34,7 +34,7 @@ class UnlearnedRadiosity(nn.Module):
     def __init__(self, iterations: int = 8):
         super().__init__()
         self.iterations, self.form_factors, self.film = iterations, CastFormFactors(), PixelFilter(0.125)
-        self.gathering = CellGathering(width=1, rank=1, bound=0.0, window=JointWindow(2, 0.3, 0.01, 2.0))
+        self.gathering = EvenGathering(JointWindow(2, 0.3, 0.01, 2.0))
 
     @property
     def gbuffer_channels(self) -> tuple[str, ...]:
@@ -53,8 +53,7 @@ class UnlearnedRadiosity(nn.Module):
         unit = torch.ones(scenes * views, device=light.device)
         of_points = ViewChannels(batch.gbuffer.flatten(0, 1), self.gbuffer_channels, unit)
         of_pixels = of_points.pooled(supersampling)
-        maps = light.new_zeros(scenes * views, self.gathering.maps, height, width)
-        gathered = self.gathering(maps, of_pixels.linear(self.gathering.channels), lit)
+        gathered = self.gathering(of_pixels.linear(self.gathering.channels), lit)
         radiance = means(radiance_of(of_points, repeated(gathered, supersampling)), supersampling)
         image = self.film(radiance).view(scenes, views, 3, height, width)
         return Rendering(log_encode(image), states[1:], cells.scenes, cells.scenes)

@@ -9,8 +9,8 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from rfpp.gbuffer.first_hit import CHANNELS
 from rfpp.model.block import RMSNorm
+from rfpp.model.view_channels import SIZES
 from rfpp.scene.camera import pixel_plane
 from rfpp.segments import on_device
 
@@ -28,7 +28,7 @@ class RayBundleEmbedding(nn.Module):
     Args:
         width: token width.
         patch_size: pixels along a patch's side.
-        gbuffer_channels: names from rfpp.gbuffer.first_hit.CHANNELS in the order the batch stacks them; empty
+        gbuffer_channels: names from rfpp.model.view_channels.SIZES in the order the batch stacks them; empty
             for the decoder without geometry guidance.
     """
 
@@ -36,7 +36,7 @@ class RayBundleEmbedding(nn.Module):
         super().__init__()
         self.patch_size = patch_size
         self.gbuffer_channels = tuple(gbuffer_channels)
-        channels = 3 + sum(CHANNELS[name] for name in self.gbuffer_channels)
+        channels = 3 + sum(SIZES[name] for name in self.gbuffer_channels)
         self.proj = nn.Linear(channels * patch_size**2, width)
         self.norm = RMSNorm(width, eps=None)
         self.token = nn.Parameter(0.02 * torch.randn(width))

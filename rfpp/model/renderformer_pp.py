@@ -9,7 +9,8 @@ from torch import Tensor, nn
 
 from rfpp.batch import RaggedBatch
 from rfpp.model.exposure import ArrivingLight, UnitExposure
-from rfpp.model.source import EmittedLight, FirstBounce
+from rfpp.model.linear_transport import LinearTransport
+from rfpp.model.source import CellLight, EmittedLight, FirstBounce
 from rfpp.model.tokenizer import ObjectTokens, SceneTokens, TriangleTokens
 from rfpp.model.transport import Bounces, EncodedTransport, PhysicsInformedTransport, UnconstrainedTransport
 from rfpp.model.triangle_embedding import TexturePatchEmbedding, TriangleEmbedding
@@ -60,10 +61,10 @@ class RenderFormerPP(nn.Module):
         self,
         embedding: TriangleEmbedding | TexturePatchEmbedding,
         tokenizer: ObjectTokens | TriangleTokens,
-        transport: PhysicsInformedTransport | UnconstrainedTransport | EncodedTransport,
+        transport: PhysicsInformedTransport | UnconstrainedTransport | EncodedTransport | LinearTransport,
         decoder: ViewDecoder,
         exposure: UnitExposure | ArrivingLight,
-        source: EmittedLight | FirstBounce,
+        source: EmittedLight | FirstBounce | CellLight,
     ):
         super().__init__()
         self.embedding = embedding

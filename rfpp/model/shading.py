@@ -2,12 +2,27 @@
 
 from __future__ import annotations
 
+from typing import Protocol, runtime_checkable
+
 import torch
 import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
 from rfpp.radiance import log_decode, log_encode
+
+
+@runtime_checkable
+class Shading(Protocol):
+    """What a decoder's maps mean.
+
+    Attributes:
+        maps: how many the head gives.
+        channels: what is needed of the G-buffer, in order.
+    """
+
+    maps: int
+    channels: tuple[str, ...]
 
 
 class LogRadiance:

@@ -10,8 +10,12 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
-from rfpp.gbuffer.first_hit import CELL_CHANNELS, CHANNELS, LIGHT_CHANNELS
+from rfpp.gbuffer.first_hit import CELL_CHANNELS, CHANNELS, GATHERED_CHANNELS, LIGHT_CHANNELS
 from rfpp.radiance import log_encode
+
+#: Numbers of every channel that decoders know, light among them.
+SIZES = CHANNELS | dict.fromkeys(GATHERED_CHANNELS, 3)
+_LIGHT = (*LIGHT_CHANNELS, *GATHERED_CHANNELS)
 
 
 @dataclass(frozen=True)
@@ -29,18 +33,18 @@ class ViewChannels:
 
     def __post_init__(self) -> None:
         """Raises ValueError when there are other channels than named."""
-        if self.gbuffer.shape[1] != sum(CHANNELS[name] for name in self.names):
+        if self.gbuffer.shape[1] != sum(SIZES[name] for name in self.names):
             raise ValueError(f"{self.gbuffer.shape[1]} G-buffer channels where {tuple(self.names)} were expected")
 
     def __call__(self, names: Sequence[str]) -> Float[Tensor, "n c h w"]:
         """Some of the channels, light as log10(1 + light / exposure)."""
         unit = self.exposure[:, None, None, None]
-        return self._stacked([log_encode(x / unit) if n in LIGHT_CHANNELS else x for n, x in self._each(names)])
+        return self._stacked([log_encode(x / unit) if n in _LIGHT else x for n, x in self._each(names)])
 
     def linear(self, names: Sequence[str]) -> Float[Tensor, "n c h w"]:
         """Some of the channels, light in units of the exposure."""
         unit = self.exposure[:, None, None, None]
-        return self._stacked([x / unit if n in LIGHT_CHANNELS else x for n, x in self._each(names)])
+        return self._stacked([x / unit if n in _LIGHT else x for n, x in self._each(names)])
 
     def pooled(self, points: int) -> ViewChannels:
         """Pixels of so many points along each side: means, and of cells, which all points know, those of one."""
@@ -52,8 +56,12 @@ class ViewChannels:
         ]
         return replace(self, gbuffer=torch.cat(pooled, dim=1))
 
+    def with_gathered(self, light: Float[Tensor, "n 6 h w"]) -> ViewChannels:
+        """The same and GATHERED_CHANNELS, linear."""
+        return replace(self, gbuffer=torch.cat([self.gbuffer, light], dim=1), names=(*self.names, *GATHERED_CHANNELS))
+
     def _each(self, names: Sequence[str]) -> list[tuple[str, Float[Tensor, "n _ h w"]]]:
-        parts = self.gbuffer.split([CHANNELS[name] for name in self.names], dim=1)
+        parts = self.gbuffer.split([SIZES[name] for name in self.names], dim=1)
         named = dict(zip(self.names, parts, strict=True))
         return [(name, named[name]) for name in names]
 

@@ -19,7 +19,7 @@ from rfpp.model.encoding import RelativeSpatialEncoding, Rotation, rotate
 from rfpp.model.film import CentreSample, PixelFilter
 from rfpp.model.ray_bundle import CameraOrigin, FirstHitPosition, RayBundleEmbedding
 from rfpp.model.ray_windows import ShiftedWindows, WholeView
-from rfpp.model.shading import LightBeyondDirect, LightBeyondReflection, LogRadiance, ReflectedLight
+from rfpp.model.shading import Shading
 from rfpp.model.tokenizer import SceneTokens
 from rfpp.model.view_channels import ViewChannels
 from rfpp.segments import Segments, on_device
@@ -36,8 +36,7 @@ class ViewDecoder(nn.Module):
         gbuffer_channels: see RayBundleEmbedding; empty for the decoder without geometry guidance.
         head_level_channels, head_channels: see DPTHead.
         ray_position: where ray tokens stand: CameraOrigin (the paper's) or FirstHitPosition.
-        shading: what the head predicts: LogRadiance (the paper's), ReflectedLight, LightBeyondDirect or
-            LightBeyondReflection.
+        shading: what the head predicts: LogRadiance (the paper's) or another of `rfpp.model.shading`.
         film: what a pixel is made of: CentreSample (the paper's) or PixelFilter.
         windows: which rays of a view see each other: WholeView (the paper's) or ShiftedWindows.
     """
@@ -54,7 +53,7 @@ class ViewDecoder(nn.Module):
         head_level_channels: Sequence[int],
         head_channels: int,
         ray_position: CameraOrigin | FirstHitPosition,
-        shading: LogRadiance | ReflectedLight | LightBeyondDirect | LightBeyondReflection,
+        shading: Shading,
         film: CentreSample | PixelFilter,
         windows: WholeView | ShiftedWindows,
     ):
@@ -88,7 +87,7 @@ class ViewDecoder(nn.Module):
         height, width = (points // supersampling for points in size)
         unit = exposure.repeat_interleave(views)
         of_points = ViewChannels(gbuffer.flatten(0, 1), self.gbuffer_channels, unit)
-        of_pixels = of_points.pooled(supersampling)
+        of_pixels = self._completed(of_points.pooled(supersampling), scene)
         rays = self.rays(fov.flatten(), of_pixels(self.rays.gbuffer_channels))  # [B V, patches, D]
         patches = rays.shape[1]
         grid = (height // self.rays.patch_size, width // self.rays.patch_size)
@@ -110,6 +109,10 @@ class ViewDecoder(nn.Module):
         maps = [f.view(batch * views, *grid, -1).permute(0, 3, 1, 2) for f in features[-LEVELS:]]
         radiance = self._shaded(self.head(maps, height, width), scene, of_pixels, of_points, supersampling)
         return self.film(radiance).view(batch, views, 3, height, width)
+
+    def _completed(self, of_pixels: ViewChannels, scene: SceneTokens) -> ViewChannels:
+        """With what rays are given besides the G-buffer: nothing."""
+        return of_pixels
 
     def _shaded(
         self,

@@ -28,7 +28,7 @@ def test_a_training_step_s_forward_pass_never_waits_for_the_device(variant):
         batch = batch_for(net).to(GPU, non_blocking=True)
         copies.waited_for.clear()
         made = net(batch)
-        terms = loss()(made.log_radiance, made.transport_states, batch.image, made.token_segments)
+        terms = loss()(made.log_radiance, made.transport_states, batch.image, made.state_segments)
         assert made.log_radiance.device == terms["loss"].device == GPU
         assert made.log_radiance.dtype == terms["loss"].dtype == torch.float32
         assert copies.waited_for == []
@@ -93,7 +93,7 @@ def test_gradients_have_a_place_for_every_parameter(variant):
     net = network_on("meta", *variant).train()
     batch = batch_for(net).to("meta")
     made = net(batch)
-    residuals = TransportConsistency()(made.transport_states, made.token_segments)
+    residuals = TransportConsistency()(made.transport_states, made.state_segments)
     (made.log_radiance.mean() + residuals.sum().to("meta")).backward()
     assert all(p.grad is not None and p.grad.is_meta and p.grad.shape == p.shape for p in net.parameters())
 

@@ -1,0 +1,174 @@
+"""Networks whose light comes from cells: what physics asks of them, whatever their weights."""
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+import torch
+from networks import network
+from random_scenes import random_cells
+from stored_sample import stored_sample
+
+from rfpp.batch import RaggedBatch
+from rfpp.gbuffer.first_hit import CHANNELS
+from rfpp.model.form_factors import CastFormFactors, UnoccludedFormFactors
+from rfpp.model.linear_transport import HIGHEST_ALBEDO, light_after
+from rfpp.model.radiosity import UnlearnedRadiosity
+from rfpp.packed_cells import PackedCells
+from rfpp.radiance import log_decode
+from rfpp.training.views import select_views
+
+LINEAR = ("+experiment=quickstart", "model=linear_light")
+CORRECTED = ("+experiment=quickstart", "model=corrected_light")
+LIGHT = ("direct_diffuse", "direct_glossy", "reflected_light")
+
+
+@pytest.fixture(scope="module")
+def sample():
+    return stored_sample()
+
+
+@pytest.fixture(params=[LINEAR, CORRECTED], ids=["linear", "corrected"])
+def net(request):
+    return network(*request.param)
+
+
+@pytest.fixture
+def linear():
+    return network(*LINEAR)
+
+
+def batch_of(net, sample, light: np.ndarray | float = 1.0, channel_light: dict | None = None) -> RaggedBatch:
+    """The sample with its light times a factor, one for all or one for each colour."""
+    views = select_views(sample, range(len(sample.fov)), net.gbuffer_channels)
+    gbuffer, start = views.gbuffer.copy(), 0
+    for name in net.gbuffer_channels:
+        if name in LIGHT:
+            gbuffer[:, start : start + 3] *= np.broadcast_to(light, 3)[:, None, None]
+        start += CHANNELS[name]
+    material = views.triangles.material.copy()
+    material[:, 7:] *= light
+    cells = replace(views.cells, arriving=views.cells.arriving * np.float32(light))
+    triangles = replace(views.triangles, material=material)
+    return RaggedBatch.pack([replace(views, gbuffer=gbuffer, triangles=triangles, cells=cells)])
+
+
+@torch.no_grad()
+def image(net, batch: RaggedBatch) -> torch.Tensor:
+    """Linear radiance in double precision, as far as the logarithm keeps it."""
+    return log_decode(net(batch).log_radiance.double())
+
+
+def test_lights_add_up(linear, sample):
+    red, rest = np.array([1, 0, 0.25]), np.array([0, 1, 0.75])
+    together = image(linear, batch_of(linear, sample))
+    apart = image(linear, batch_of(linear, sample, red)) + image(linear, batch_of(linear, sample, rest))
+    torch.testing.assert_close(together, apart, rtol=1e-5, atol=1e-6)
+
+
+def test_twice_the_light_is_twice_the_image(net, sample):
+    once, twice = image(net, batch_of(net, sample)), image(net, batch_of(net, sample, 2.0))
+    assert once.max() > 0
+    torch.testing.assert_close(twice, 2 * once, rtol=1e-5, atol=1e-6)
+
+
+def test_without_light_it_is_exactly_black(net, sample):
+    assert not image(net, batch_of(net, sample, 0.0)).any()
+
+
+@pytest.mark.parametrize("brightness", [1.0, 1e5])
+def test_nothing_is_negative_and_nothing_overflows(net, sample, brightness):
+    radiance = image(net, batch_of(net, sample, brightness))
+    assert torch.isfinite(radiance).all() and (radiance >= 0).all()
+
+
+def test_weights_know_no_light(linear, sample):
+    """The operator is the same matrix whatever the lights."""
+    dark, bright = (linear.tokenize(batch_of(linear, sample, factor))[1] for factor in (0.1, 10.0))
+    torch.testing.assert_close(dark.features, bright.features, rtol=0, atol=0)
+
+
+def test_every_part_of_the_image_comes_through_cells_or_is_known(linear, sample):
+    batch = batch_of(linear, sample)
+    channels = torch.zeros_like(batch.gbuffer)
+    dark = replace(
+        batch_of(linear, sample, 0.0), cells=replace(batch.cells, arriving=torch.zeros_like(batch.cells.arriving))
+    )
+    assert channels.shape == dark.gbuffer.shape and not image(linear, dark).any()
+    known_alone = replace(batch, cells=replace(batch.cells, arriving=torch.zeros_like(batch.cells.arriving)))
+    gathered = image(linear, batch) - image(linear, known_alone)
+    assert (gathered > -1e-6).all() and gathered.max() > 0
+
+
+def test_gradients_reach_every_parameter(net, sample):
+    net.train()
+    net(batch_of(net, sample)).log_radiance.sum().backward()
+    assert not [name for name, p in net.named_parameters() if p.grad is None or not p.grad.any()]
+
+
+def closed_box(count: int = 6) -> PackedCells:
+    """Cells that see each other and nothing else, equally lit."""
+    cells = random_cells(np.random.default_rng(0), count, per_object=1)
+    hits = np.stack([np.delete(np.arange(count), cell) for cell in range(count)]).astype(np.int32)
+    cells = replace(cells, hits=hits, arriving=np.ones_like(cells.arriving))
+    return PackedCells.pack([cells], [count])
+
+
+@pytest.mark.parametrize("albedo", [0.3, 0.9, HIGHEST_ALBEDO])
+def test_in_a_closed_box_light_is_the_geometric_series(albedo):
+    cells = closed_box()
+    couplings, escaping = CastFormFactors()(cells)
+    assert not escaping.any()
+    reflectance = torch.full_like(cells.arriving, albedo)
+    states = light_after(reflectance * cells.arriving, reflectance, couplings, cells, 40)
+    for k, state in enumerate(states):
+        expected = albedo * (1 - albedo ** (k + 1)) / (1 - albedo)
+        torch.testing.assert_close(state, torch.full_like(state, expected), rtol=1e-5, atol=0)
+
+
+def test_energy_never_grows(linear, sample):
+    """Whatever was learned: row sums of A of at most 1, albedos below, so that what is added falls bounce by bounce."""
+    batch = batch_of(linear, sample)
+    _, (_, states) = linear.transported_each(*linear.tokenize(batch), 12)
+    added = [(b - a).max().item() for a, b in pairwise(states)]
+    assert all(later <= HIGHEST_ALBEDO * earlier + 1e-9 for earlier, later in pairwise(added))
+    assert min((b - a).min().item() for a, b in pairwise(states)) >= -1e-6
+
+
+def test_form_factors_by_formula_are_those_by_rays_where_nothing_stands_between():
+    """Of two small squares that face each other at distance 1: A / π, whatever is in between for the formula."""
+    cells = random_cells(np.random.default_rng(0), 2, per_object=1)
+    centre, normal = np.float32([[0, 0, 0], [0, 0, 1]]), np.float32([[0, 0, 1], [0, 0, -1]])
+    area = np.float32([0.01, 0.01])
+    packed = PackedCells.pack([replace(cells, centre=centre, normal=normal, area=area)], [2])
+    seen, escaping = UnoccludedFormFactors()(packed)
+    expected = 0.01 / (np.pi + 0.01)
+    torch.testing.assert_close(seen[0], torch.tensor([[0, expected], [expected, 0]]), rtol=1e-5, atol=1e-8)
+    torch.testing.assert_close(escaping[0], torch.full((2,), 1 - expected), rtol=1e-5, atol=0)
+
+
+def test_padding_is_no_cell():
+    """Scenes with more and fewer cells: one by one and together the same."""
+    rng = np.random.default_rng(1)
+    few, many = random_cells(rng, 2, per_object=2), random_cells(rng, 5, per_object=3)
+    together, alone = PackedCells.pack([few, many], [2, 5]), PackedCells.pack([few], [2])
+    for factors in (CastFormFactors(), UnoccludedFormFactors()):
+        (both, escaping), (one, escaped) = factors(together), factors(alone)
+        torch.testing.assert_close(both[0, :4, :4], one[0])
+        torch.testing.assert_close(escaping[0, :4], escaped[0])
+        assert not both[0, :4, 4:].any()
+
+
+def test_the_rival_that_learns_nothing_is_linear_too(sample):
+    rival = UnlearnedRadiosity()
+    once, thrice = image(rival, batch_of(rival, sample)), image(rival, batch_of(rival, sample, 3.0))
+    assert once.max() > 0
+    torch.testing.assert_close(thrice, 3 * once, rtol=1e-5, atol=1e-6)
+
+
+def test_an_untrained_network_is_that_rival(sample):
+    """Corrections start at nothing; all that differs is how shiny surfaces count, and the head's first guess."""
+    net, rival = network(*CORRECTED).eval(), UnlearnedRadiosity()
+    mine, its = image(net, batch_of(net, sample)), image(rival, batch_of(rival, sample))
+    assert (mine - its).abs().mean() < 0.1 * its.mean()
