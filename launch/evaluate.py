@@ -33,6 +33,7 @@ from rfpp.evaluation.training_cost import TrainingCost
 from rfpp.inference.checkpoint import load_network
 from rfpp.metrics.image import ImageMetrics
 from rfpp.metrics.lpips import LPIPS
+from rfpp.model.radiosity import UnlearnedRadiosity
 from rfpp.shards.stream import ShardSplit
 from rfpp.training.config_file import write_config
 from rfpp.training.tracking.registry import checkpoint_file
@@ -59,6 +60,10 @@ def main(cfg: DictConfig) -> list[Evaluation]:
     with _bar(console) as bar:
         for split in splits:
             beside += baseline_records(baselines, split, metrics, device, _task(bar, split, "baselines"))
+            radiosity = UnlearnedRadiosity().to(device)
+            beside += network_records(
+                radiosity, split, metrics, device, _task(bar, split, radiosity.name), predictor=radiosity.name
+            )
     return [_evaluate(cfg, *item, splits, metrics, beside, device, console) for item in outputs.items()]
 
 

@@ -86,12 +86,18 @@ def render_stored(network: nn.Module, split: ShardSplit, index: int, device: tor
 
 
 def network_records(
-    network: nn.Module, split: ShardSplit, metrics: ImageMetrics, device: torch.device, on_scene: OnScene
+    network: nn.Module,
+    split: ShardSplit,
+    metrics: ImageMetrics,
+    device: torch.device,
+    on_scene: OnScene,
+    predictor: str = MODEL,
 ) -> list[ImageRecord]:
     """What the network scores on every image of the split.
 
     Args:
         on_scene: called after each scene, for a progress bar.
+        predictor: its name in the records.
 
     Raises:
         ShardError: the split is empty, or a sample is damaged.
@@ -101,7 +107,7 @@ def network_records(
     for index in _scenes(split):
         scene = render_stored(network, split, index, device)
         at = (split.split, scene.key, scene.triangles, scene.objects, scene.lights)
-        records += _image_records(at, MODEL, metrics(scene.prediction, scene.reference, scene.gbuffer))
+        records += _image_records(at, predictor, metrics(scene.prediction, scene.reference, scene.gbuffer))
         on_scene()
     return records
 

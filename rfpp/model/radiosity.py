@@ -28,6 +28,7 @@ class UnlearnedRadiosity(nn.Module):
         iterations: bounces between cells.
     """
 
+    name = "unlearned radiosity"
     #: As a network has it.
     patch_size = 1
 

@@ -75,6 +75,7 @@ def test_evaluation_writes_tables_and_reports_to_the_training_run(trained, compo
     means = evaluation.means
     assert {split for split, _ in means} == {"train_newviews", "test"}
     baselines = {"black", "mean image", "albedo x constant", "direct light alone", "reflections too"}
+    baselines |= {"unlearned radiosity"}
     assert {predictor for _, predictor in means} == {"model", *baselines}
     assert all(np.isfinite(row["log_l1"].mean) for row in means.values())
     assert (run / "evaluation" / "summary.csv").is_file()

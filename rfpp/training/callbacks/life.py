@@ -1,0 +1,71 @@
+"""Does the network use what it is made of? Asked at every validation."""
+
+from __future__ import annotations
+
+import warnings
+from collections import defaultdict
+from collections.abc import Mapping
+
+import lightning as L
+import torch
+from torch import Tensor
+
+from rfpp.batch import RaggedBatch
+from rfpp.inference.life import EXCHANGED_TOKENS, donated, impaired
+from rfpp.losses.radiance import log_l1
+
+
+class SignsOfLife(L.Callback):
+    """Logs by how much the error of validation grows when one part is made useless, as a share of the error.
+
+    As `life/exchanged_tokens`, `life/permuted_light` and `life/no_transport` (`rfpp.inference.life`): at 0 the part
+    could as well be left out. A warning is given, once, when a network does not read its scene tokens. Where there are
+    several processes, of the first one's scenes.
+
+    Args:
+        scenes: of validation, at most; the first has no other scene's tokens to be given and is left out.
+        least: share of the error below which scene tokens count as not read.
+    """
+
+    def __init__(self, scenes: int, least: float):
+        self.scenes, self.least = scenes, least
+        self._warned = False
+
+    def on_validation_start(self, trainer: L.Trainer, module: L.LightningModule) -> None:
+        self._donor: Tensor | None = None
+        self._errors: dict[str, list[Tensor]] = defaultdict(list)
+
+    @torch.no_grad()
+    def on_validation_batch_end(
+        self,
+        trainer: L.Trainer,
+        module: L.LightningModule,
+        outputs: Mapping[str, Tensor],
+        batch: RaggedBatch,
+        batch_index: int,
+        dataloader_index: int = 0,
+    ) -> None:
+        if batch_index > self.scenes:
+            return
+        with trainer.precision_plugin.forward_context():
+            if self._donor is not None:
+                for what, image in impaired(module.network, batch, self._donor).items():
+                    self._errors[what].append(log_l1(image, batch.image))
+                self._errors[""].append(outputs["log_l1"].mean())
+            self._donor = donated(module.network, batch)
+
+    def on_validation_end(self, trainer: L.Trainer, module: L.LightningModule) -> None:
+        errors = {what: torch.stack(of_scenes).mean() for what, of_scenes in self._errors.items()}
+        if not errors or trainer.sanity_checking:
+            return
+        as_it_is = errors.pop("")
+        growth = {f"life/{what}": float(error / as_it_is) - 1 for what, error in errors.items()}
+        for logger in trainer.loggers if trainer.is_global_zero else ():
+            logger.log_metrics(growth, step=trainer.global_step - 1)  # Lightning counts from 0: as all others
+        read = growth[f"life/{EXCHANGED_TOKENS}"]
+        if read < self.least and not self._warned and trainer.is_global_zero:
+            self._warned = True
+            warnings.warn(
+                f"the network hardly reads its scene tokens: with those of another scene its error grows by {read:.1%}",
+                stacklevel=2,
+            )
