@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -40,11 +40,11 @@ class CleanScene:
     known: Float[Tensor, "v 3 h w"]
 
     def batch(self, channels: tuple[str, ...]) -> RaggedBatch:
-        """For a network that reads these."""
-        packed = RaggedBatch.pack([self.views])
+        """For a network that reads these; without the image, which has fewer pixels than there are points."""
+        packed = RaggedBatch.pack([replace(self.views, image=None)])
         named = dict(zip(CHANNELS, packed.gbuffer.split(list(CHANNELS.values()), dim=2), strict=True))
         stacked = [packed.gbuffer[:, :, :0], *(named[name] for name in channels)]
-        return RaggedBatch(**{**vars(packed), "gbuffer": torch.cat(stacked, dim=2)})
+        return replace(packed, gbuffer=torch.cat(stacked, dim=2), image=None)
 
 
 def clean_scene(split: ShardSplit, index: int, folder: Path) -> CleanScene:

@@ -1,0 +1,66 @@
+"""How well do networks move light? What they add to known light, on scenes with clean references.
+
+python launch/generate.py +experiment=light_test
+python launch/measure_light.py +experiment=light_test checkpoint=[a/checkpoints/best.ckpt,b/checkpoints/best.ckpt]
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import torch
+from hydra.utils import instantiate
+from omegaconf import DictConfig
+from rich.console import Console
+from rich.progress import Progress
+from rich.table import Table
+
+from rfpp.entry import entry_point
+from rfpp.evaluation.light import measure
+from rfpp.evaluation.light_table import COLUMNS, light_row, write_light_rows
+from rfpp.inference.checkpoint import load_network
+from rfpp.inference.precision import matrix_dtype
+from rfpp.model.radiosity import UnlearnedRadiosity
+from rfpp.shards.stream import ShardSplit
+from rfpp.training.tracking.description import hardware
+
+
+@entry_point("measure_light")
+def main(cfg: DictConfig) -> Path:
+    """Measure known light, radiosity and each of `cfg.checkpoint` on `cfg.split`; returns the table's file."""
+    console = Console(highlight=False, soft_wrap=True)
+    given = [cfg.checkpoint] if isinstance(cfg.checkpoint, str) else list(cfg.checkpoint or [])
+    loaded = {name: load_network(name) for name in given}
+    radiosity = UnlearnedRadiosity().eval()
+    predictors = {"known light alone": None, radiosity.name: radiosity}
+    predictors |= {name: network.eval() for name, (network, _) in loaded.items()}
+    split = ShardSplit(cfg.data.root, cfg.split, instantiate(cfg.datamodule.cache))
+    device = torch.device("cpu")
+    dtype = matrix_dtype("auto", device)
+    autocast = partial(torch.autocast, "cpu", dtype, enabled=dtype != torch.float32)
+    with Progress(*Progress.get_default_columns(), console=console) as bar:
+        task = bar.add_task("Scenes", total=len(split))
+        errors = measure(predictors, split, Path(cfg.clean), autocast, lambda: bar.advance(task))
+    about = {"data": split.manifest.name, "manifest": split.manifest.hash[:12], "hardware": hardware(device)}
+    infos = {name: info for name, (_, info) in loaded.items()}
+    rows = [about | light_row(name, infos.get(name), of_one) for name, of_one in errors.items()]
+    console.print(_table(rows))
+    file = write_light_rows(rows, Path(cfg.output))
+    console.print(f"Table: {file}")
+    return file
+
+
+def _table(rows: list[dict[str, Any]]) -> Table:
+    table = Table("", "seed", "further light, rel. L1", "log-L1", "other tokens", "permuted light", "no transport")
+    for row in rows:
+        spread = f"{row['further_light']:.3f} ({row['further_light_low']:.3f}–{row['further_light_high']:.3f})"
+        growth = [row.get(name) for name in COLUMNS[-3:]]
+        parts = ["" if value is None else f"{value:+.0%}" for value in growth]
+        table.add_row(row["method"], str(row.get("seed", "")), spread, f"{row['log_l1']:.5f}", *parts)
+    return table
+
+
+if __name__ == "__main__":
+    main()
