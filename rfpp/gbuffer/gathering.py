@@ -9,10 +9,10 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from rfpp.gbuffer import ggx
-from rfpp.gbuffer.cells import NOWHERE, CellMap, cosine_directions
+from rfpp.gbuffer.cells import NOWHERE, CellMap
 from rfpp.gbuffer.first_hit import CELL_RAYS, GBuffer, SeenCells
 from rfpp.gbuffer.raycast import RayCaster
-from rfpp.gbuffer.surface import Surface, chunks, lattice, local
+from rfpp.gbuffer.surface import Surface, chunks, cosine_directions, lattice, local
 from rfpp.scene.triangles import SceneTriangles
 
 #: Pixels along each side of a tile.

@@ -96,6 +96,13 @@ def local(vectors: Float[np.ndarray, "r *s 3"], frame: Float[np.ndarray, "r 3 3"
     return np.einsum("r...x,rkx->r...k", vectors, frame)
 
 
+def cosine_directions(surface: Surface, random: Float[np.ndarray, "r 2"]) -> Float[np.ndarray, "r 3"]:
+    """World directions as dense as diffuse light arrives from them: points of a disc, lifted (Malley 1988)."""
+    radius, angle = np.sqrt(random[:, 0]), 2 * np.pi * random[:, 1]
+    local = np.stack([radius * np.cos(angle), radius * np.sin(angle), np.sqrt(1 - random[:, 0])], axis=-1)
+    return np.einsum("rk,rkx->rx", local, surface.frame())
+
+
 def lattice(samples: int, shift: Float[np.ndarray, "r 2"]) -> Float[np.ndarray, "r s 2"]:
     """Well-spread points of the unit square, displaced per row (Cranley and Patterson 1976)."""
     count = np.arange(samples)

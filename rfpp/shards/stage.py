@@ -8,7 +8,8 @@ from typing import SupportsFloat
 import numpy as np
 from jaxtyping import Float
 
-from rfpp.gbuffer.cells import CellMap, Cells, find_cells
+from rfpp.gbuffer.cell_finding import find_cells
+from rfpp.gbuffer.cells import CellMap, Cells
 from rfpp.gbuffer.direct_light import with_direct_light
 from rfpp.gbuffer.first_hit import GBuffer, camera_caster, first_hit
 from rfpp.gbuffer.gathering import with_cells

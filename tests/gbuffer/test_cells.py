@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from known_scenes import LIGHT, box, material, moved, pack, rigid_motion, sphere, square, still_life
 
+from rfpp.gbuffer.cell_finding import find_cells
 from rfpp.gbuffer.cell_grid import CellGrid, principal_axes
-from rfpp.gbuffer.cells import NOWHERE, Cells, find_cells
+from rfpp.gbuffer.cells import NOWHERE, Cells
 from rfpp.gbuffer.light_sampler import LightSampler
 from rfpp.scene.triangles import EMISSION
 

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from known_scenes import box, look_at, material, pack, sphere, square
 
-from rfpp.gbuffer.cells import NOWHERE, find_cells
+from rfpp.gbuffer.cell_finding import find_cells
+from rfpp.gbuffer.cells import NOWHERE
 from rfpp.gbuffer.first_hit import CELL_RAYS, SeenCells, first_hit
 from rfpp.gbuffer.gathering import with_cells
 from rfpp.gbuffer.light_sampler import LightSampler

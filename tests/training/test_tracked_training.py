@@ -1,18 +1,26 @@
 """What a training leaves in MLflow: every metric, pictures, parameters, and a model to load from there."""
 
+import warnings
 from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from hydra import compose, initialize_config_dir
 from mlflow import MlflowClient
 from small_data import make
 
 from rfpp import Renderer
+from rfpp.batch import RaggedBatch
 from rfpp.entry import CONFIG_DIR
 from rfpp.errors import CheckpointError
 from rfpp.inference.checkpoint import load_network
+from rfpp.inference.life import EXCHANGED_TOKENS, donated, impaired
+from rfpp.losses.radiance import log_l1
+from rfpp.shards.stream import ShardSplit
+from rfpp.training.callbacks.life import SignsOfLife
 from rfpp.training.tracking.registry import checkpoint_file
+from rfpp.training.views import select_views
 
 STEPS = 4
 
@@ -73,6 +81,33 @@ def test_every_validation_is_scored_by_size_and_shown(tracked):
     pictures = {path.name for path in (folder / "run" / "panels").iterdir()}
     assert pictures == {f"{sheet}-00000{step}.png" for sheet in ("panels", "bounces") for step in (2, 4)}
     assert {Path(a.path).name for a in client.list_artifacts(run.info.run_id, "panels")} == pictures
+
+
+def test_every_validation_asks_which_parts_are_alive(tracked):
+    """The same numbers as by hand, of the best checkpoint at its step."""
+    folder, checkpoint, client, run = tracked
+    for part in ("exchanged_tokens", "no_transport"):
+        assert [m.step for m in client.get_metric_history(run.info.run_id, f"life/{part}")] == [1, 3]
+    network, info = load_network(checkpoint)
+    network.eval()
+    scenes = ShardSplit(folder / "data", "validation")
+    views = [select_views(s, range(len(s.fov)), network.gbuffer_channels) for s in (scenes[0], scenes[1])]
+    first, second = (RaggedBatch.pack([view]) for view in views)
+    with torch.no_grad():
+        given = impaired(network, second, donated(network, first))[EXCHANGED_TOKENS]
+        growth = log_l1(given, second.image) / log_l1(network(second).log_radiance, second.image) - 1
+    logged = {m.step: m.value for m in client.get_metric_history(run.info.run_id, "life/exchanged_tokens")}
+    assert logged[info.steps - 1] == pytest.approx(growth.item(), abs=1e-3)
+
+
+def test_a_network_that_does_not_read_its_tokens_is_warned_of_once():
+    signs = SignsOfLife(scenes=4, least=0.05)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        signs.judge(0.2)
+        with pytest.warns(UserWarning, match=r"hardly reads its scene tokens: .* grows by 2.0%"):
+            signs.judge(0.02)
+        signs.judge(0.02)
 
 
 def test_the_run_says_what_ran(tracked):

@@ -62,10 +62,14 @@ class SignsOfLife(L.Callback):
         growth = {f"life/{what}": float(error / as_it_is) - 1 for what, error in errors.items()}
         for logger in trainer.loggers if trainer.is_global_zero else ():
             logger.log_metrics(growth, step=trainer.global_step - 1)  # Lightning counts from 0: as all others
-        read = growth[f"life/{EXCHANGED_TOKENS}"]
-        if read < self.least and not self._warned and trainer.is_global_zero:
+        if trainer.is_global_zero:
+            self.judge(growth[f"life/{EXCHANGED_TOKENS}"])
+
+    def judge(self, growth: float) -> None:
+        """Warn, the first time, of an error that hardly grows with another scene's tokens."""
+        if growth < self.least and not self._warned:
             self._warned = True
             warnings.warn(
-                f"the network hardly reads its scene tokens: with those of another scene its error grows by {read:.1%}",
+                f"the network hardly reads its scene tokens: with those of another scene its error grows by {growth:.1%}",
                 stacklevel=2,
             )
