@@ -18,8 +18,12 @@ class JointWindow:
     As in a joint bilateral filter, neighbours count that face the same way and lie in one plane; for glossy light, the
     nearer the shinier a surface is, so that mirrors stay sharp.
 
+    Finer images are filtered again with every second pixel of a window twice as large, every fourth, and so on, so that
+    the same share of the image is shared at any resolution ("à trous", Dammertz et al. 2010).
+
     Args:
         radius: pixels to each side.
+        reach: share of the image's longer side that all windows together may span to each side; one there always is.
         normal: difference of unit normals at which a weight has fallen to e^-1/2.
         plane: distance from the neighbour's tangent plane, in world units, likewise.
         spread: distance in pixels, likewise, for diffuse light; for glossy light, at roughness 1.
@@ -31,19 +35,31 @@ class JointWindow:
     #: Distance in pixels at which a mirror's weight has fallen to e^-1/2.
     SHARPEST = 0.3
 
-    def __init__(self, radius: int, normal: float, plane: float, spread: float):
-        self.radius, self.normal, self.plane, self.spread = radius, normal, plane, spread
+    def __init__(self, radius: int, reach: float, normal: float, plane: float, spread: float):
+        self.radius, self.reach = radius, reach
+        self.normal, self.plane, self.spread = normal, plane, spread
 
     def __call__(self, light: Float[Tensor, "n 6 h w"], guides: Float[Tensor, "n 7 h w"]) -> Float[Tensor, "n 6 h w"]:
         """Diffuse and glossy light, each filtered."""
-        side = [self.radius] * 4
-        around, guides_around = F.pad(light, side), F.pad(guides, side)
+        step, spanned = 1, self.radius
+        light = self._filtered(light, guides, step)
+        while (spanned := spanned + 2 * step * self.radius) <= self.reach * max(light.shape[-2:]):
+            step *= 2
+            light = self._filtered(light, guides, step)
+        return light
+
+    def _filtered(
+        self, light: Float[Tensor, "n 6 h w"], guides: Float[Tensor, "n 7 h w"], step: int
+    ) -> Float[Tensor, "n 6 h w"]:
+        """With every so many-th pixel of a window."""
+        side = self.radius * step
+        around, guides_around = F.pad(light, [side] * 4), F.pad(guides, [side] * 4)
         height, width = light.shape[-2:]
         total, weights = torch.zeros_like(light), torch.zeros_like(light[:, :2])
         offsets = range(-self.radius, self.radius + 1)
         for dy, dx in product(offsets, offsets):
-            rows = slice(self.radius + dy, self.radius + dy + height)
-            columns = slice(self.radius + dx, self.radius + dx + width)
+            rows = slice(side + step * dy, side + step * dy + height)
+            columns = slice(side + step * dx, side + step * dx + width)
             weight = self._weight(guides, guides_around[..., rows, columns], dy * dy + dx * dx)  # [N, 2, H, W]
             total = total + weight.repeat_interleave(3, dim=1) * around[..., rows, columns]
             weights = weights + weight

@@ -70,6 +70,6 @@ class SignsOfLife(L.Callback):
         if growth < self.least and not self._warned:
             self._warned = True
             warnings.warn(
-                f"the network hardly reads its scene tokens: with those of another scene its error grows by {growth:.1%}",
+                f"the network hardly reads its scene tokens: with another scene's its error grows by {growth:.1%}",
                 stacklevel=2,
             )
