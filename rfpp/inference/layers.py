@@ -8,16 +8,18 @@ import numpy as np
 from jaxtyping import Float
 
 from rfpp.errors import UserError
-from rfpp.gbuffer.first_hit import CHANNELS, COLOUR_CHANNELS
+from rfpp.gbuffer.first_hit import CELL_CHANNELS, CHANNELS, COLOUR_CHANNELS
 
+#: The channels that are pictures: numbers of cells are none.
+LAYERS = tuple(name for name in CHANNELS if name not in CELL_CHANNELS)
 #: Layers whose values half precision would round visibly.
 _FLOAT32 = ("depth", "position")
 
 
 def checked_layers(names: Sequence[str]) -> tuple[str, ...]:
     """The names. Raises UserError at one that is no G-buffer channel, or that occurs twice."""
-    if unknown := [name for name in names if name not in CHANNELS]:
-        raise UserError(f"layers: '{unknown[0]}' does not exist: choose from {', '.join(CHANNELS)}")
+    if unknown := [name for name in names if name not in LAYERS]:
+        raise UserError(f"layers: '{unknown[0]}' does not exist: choose from {', '.join(LAYERS)}")
     if len(set(names)) < len(names):
         raise UserError(f"layers: {list(names)} names one twice: give each once")
     return tuple(names)

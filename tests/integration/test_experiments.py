@@ -18,6 +18,8 @@ BEYOND_THE_PAPER = {
     "RenderFormer++, direct light",
     "RenderFormer++, direct light and reflections",
     "RenderFormer++, known light",
+    "RenderFormer++, linear light",
+    "RenderFormer++, corrected light",
 }
 METHODS = {row.method for table in (TABLE_1, TABLE_2) for block in table.blocks for row in block.rows}
 VERBS = ("generate", "train", "evaluate")
