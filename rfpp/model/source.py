@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from rfpp.batch import RaggedBatch
+from rfpp.errors import UserError
 from rfpp.model.tokenizer import SceneTokens
 from rfpp.radiance import log_encode
 
@@ -51,7 +52,9 @@ class CellLight:
     reads: tuple[str, ...] = ("cells",)
 
     def __call__(self, tokens: SceneTokens, batch: RaggedBatch) -> SceneTokens:
-        """Raises ValueError where the batch does not carry cells."""
+        """Raises ValueError where the batch does not carry cells, UserError where tokens do not stand for octants."""
         if batch.cells is None:
             raise ValueError("the network moves light between cells, but the batch carries none")
+        if tokens.segments.lengths != tuple(8 * objects for objects in batch.scenes.lengths):
+            raise UserError("cells belong to octants of objects: give the network eight tokens an object (queries: 8)")
         return replace(tokens, cells=batch.cells)

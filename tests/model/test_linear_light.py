@@ -11,6 +11,7 @@ from random_scenes import random_cells
 from stored_sample import stored_sample
 
 from rfpp.batch import RaggedBatch
+from rfpp.errors import UserError
 from rfpp.gbuffer.first_hit import CHANNELS
 from rfpp.model.form_factors import CastFormFactors, UnoccludedFormFactors
 from rfpp.model.linear_transport import HIGHEST_ALBEDO, light_after
@@ -158,6 +159,15 @@ def test_padding_is_no_cell():
         torch.testing.assert_close(both[0, :4, :4], one[0])
         torch.testing.assert_close(escaping[0, :4], escaped[0])
         assert not both[0, :4, 4:].any()
+
+
+def test_what_cells_do_not_fit_is_refused(sample):
+    four = network(*LINEAR, "model.tokenizer.queries=4")
+    with pytest.raises(UserError, match="eight tokens an object"):
+        four(batch_of(four, sample))
+    net = network(*LINEAR)
+    with pytest.raises(ValueError, match="carries none"):
+        net(replace(batch_of(net, sample), cells=None))
 
 
 def test_the_rival_that_learns_nothing_is_linear_too(sample):
