@@ -24,7 +24,7 @@ from rfpp.inference.checkpoint import load_network
 from rfpp.inference.precision import matrix_dtype
 from rfpp.model.radiosity import UnlearnedRadiosity
 from rfpp.shards.stream import ShardSplit
-from rfpp.training.tracking.description import hardware
+from rfpp.training.tracking.description import code_version, hardware
 
 
 @entry_point("measure_light")
@@ -43,7 +43,8 @@ def main(cfg: DictConfig) -> Path:
     with Progress(*Progress.get_default_columns(), console=console) as bar:
         task = bar.add_task("Scenes", total=len(split))
         errors = measure(predictors, split, Path(cfg.clean), autocast, lambda: bar.advance(task))
-    about = {"data": split.manifest.name, "manifest": split.manifest.hash[:12], "hardware": hardware(device)}
+    about = {"commit": (code_version() or "")[:12], "hardware": hardware(device)}
+    about |= {"data": split.manifest.name, "manifest": split.manifest.hash[:12]}
     infos = {name: info for name, (_, info) in loaded.items()}
     rows = [about | light_row(name, infos.get(name), of_one) for name, of_one in errors.items()]
     console.print(_table(rows))

@@ -12,7 +12,7 @@ from rfpp.inference.checkpoint import CheckpointInfo
 from rfpp.scene.files import write_atomically
 
 COLUMNS = (
-    "data", "manifest", "hardware", "method", "seed", "steps", "trained_on", "scenes",
+    "commit", "hardware", "data", "manifest", "method", "seed", "steps", "trained_on", "scenes",
     "further_light", "further_light_low", "further_light_high", "log_l1",
     "log_l1_growth_exchanged_tokens", "log_l1_growth_permuted_light", "log_l1_growth_no_transport",
 )  # fmt: skip
