@@ -29,7 +29,7 @@ from rfpp.training.tracking.description import code_version, hardware
 
 @entry_point("measure_light")
 def main(cfg: DictConfig) -> Path:
-    """Measure known light, radiosity and each of `cfg.checkpoint` on `cfg.split`, on the CPU; returns the table's file."""
+    """Measure known light, radiosity and each of `cfg.checkpoint` on `cfg.split`, on the CPU; returns the table."""
     console = Console(highlight=False, soft_wrap=True)
     given = [cfg.checkpoint] if isinstance(cfg.checkpoint, str) else list(cfg.checkpoint or [])
     loaded = {name: load_network(name) for name in given}
