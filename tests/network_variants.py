@@ -14,12 +14,12 @@ PAPER = ("+experiment=large_scale", "size=tiny", *HEADS)
 VARIANTS = {
     "paper": PAPER,
     "quickstart": ("+experiment=quickstart", *HEADS),
-    "linear": ("+experiment=quickstart", "model=linear_light", *HEADS),
+    "known_light": ("+experiment=quickstart", "model=known_light", *HEADS),
     "windows": (*PAPER, "+model.decoder.windows={_target_: rfpp.model.ray_windows.ShiftedWindows, size: 2}"),
     **{
         name: (f"+experiment=[large_scale,{name}]", "size=tiny", *HEADS)
         for name in ("without_pitg", "without_tcl", "without_ggd", "one_iteration", "renderformer", "renderformer_pitg",
-                     "renderformer_hoct", "renderformer_finetuned", "known_light", "direct_light")
+                     "renderformer_hoct", "renderformer_finetuned", "direct_light", "learned_occlusion", "light_from_emission")
     },
 }  # fmt: skip
 
@@ -33,5 +33,5 @@ def batch_for(net: RenderFormerPP, resolution: int = 16, scenes: int = 2) -> Rag
 def loss() -> RenderingLoss:
     return RenderingLoss(
         l1_weight=1.0, lpips_weight=0.0, consistency_weight=0.1, lpips_images_per_step=None, lpips_trunk_path=None,
-        consistency_stop_gradient=False,
+        consistency_stop_gradient=False, divergence_weight=0.0,
     )  # fmt: skip

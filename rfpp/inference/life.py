@@ -38,7 +38,8 @@ def impaired(
     images = {EXCHANGED_TOKENS: view(replace(tokens, features=donor[rows].to(tokens.features)))}
     if tokens.cells is not None:
         cells = tokens.cells
-        dealt = replace(cells, arriving=cells.arriving[_within_scenes(cells.scenes.index)])
+        order = _within_scenes(cells.scenes.index)
+        dealt = replace(cells, arriving=cells.arriving[order], emitted=cells.emitted[order])
         images[PERMUTED_LIGHT] = view(replace(tokens, cells=dealt))
     if network.iterations:
         (still, *_), _ = network.transported_each(exposure, tokens, 0)

@@ -12,6 +12,8 @@ from rfpp.model.encoding import Rotation, rotate
 from rfpp.model.precision import as_multiplied
 
 NORM_EPS = 1e-6
+#: What RenderFormer's embeddings add: PyTorch's default in float32. (In bfloat16 it would be 0.0078.)
+FLOAT32_EPS = torch.finfo(torch.float32).eps
 
 
 class RMSNorm(nn.RMSNorm):
@@ -20,14 +22,13 @@ class RMSNorm(nn.RMSNorm):
     Keeps its input's dtype; the mean square is taken in float32.
     """
 
-    def __init__(self, width: int, eps: float | None = NORM_EPS):
+    def __init__(self, width: int, eps: float = NORM_EPS):
         super().__init__(width, eps=eps)
 
     def forward(self, x: Float[Tensor, "*rows width"]) -> Float[Tensor, "*rows width"]:
         if x.is_cuda or torch.compiler.is_compiling():
             return F.rms_norm(x, self.normalized_shape, self.weight.to(x.dtype), self.eps)
-        eps = torch.finfo(x.dtype).eps if self.eps is None else self.eps
-        return _NormaliseRows.apply(x, self.weight.to(x.dtype), eps)
+        return _NormaliseRows.apply(x, self.weight.to(x.dtype), self.eps)
 
 
 class _NormaliseRows(torch.autograd.Function):

@@ -23,7 +23,8 @@ class JointWindow:
 
     Args:
         radius: pixels to each side.
-        reach: share of the image's longer side that all windows together may span to each side; one there always is.
+        reach: share of the image's longer side that all windows together may span to each side; one there always is, a
+            second from 120 pixels on.
         normal: difference of unit normals at which a weight has fallen to e^-1/2.
         plane: distance from the neighbour's tangent plane, in world units, likewise.
         spread: distance in pixels, likewise, for diffuse light; for glossy light, at roughness 1.
@@ -35,7 +36,9 @@ class JointWindow:
     #: Distance in pixels at which a mirror's weight has fallen to e^-1/2.
     SHARPEST = 0.3
 
-    def __init__(self, radius: int, reach: float, normal: float, plane: float, spread: float):
+    def __init__(
+        self, radius: int = 2, reach: float = 0.05, normal: float = 0.3, plane: float = 0.01, spread: float = 2.0
+    ):
         self.radius, self.reach = radius, reach
         self.normal, self.plane, self.spread = normal, plane, spread
 

@@ -10,7 +10,8 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from rfpp.model.block import RMSNorm, SwiGLU
-from rfpp.model.form_factors import CastFormFactors, UnoccludedFormFactors
+from rfpp.model.form_factors import CastFormFactors, UnoccludedFormFactors, divergence
+from rfpp.model.irradiance import CastIrradiance, CoupledIrradiance
 from rfpp.model.lit_cells import LitCells
 from rfpp.model.precision import in_float32
 from rfpp.model.tokenizer import SceneTokens
@@ -36,6 +37,7 @@ class LinearTransport(nn.Module):
         bound: γ; corrections multiply by e^±γ at most.
         iterations: K.
         form_factors: CastFormFactors or UnoccludedFormFactors.
+        irradiance: CastIrradiance or CoupledIrradiance, which E is.
     """
 
     def __init__(
@@ -47,28 +49,37 @@ class LinearTransport(nn.Module):
         bound: float,
         iterations: int,
         form_factors: CastFormFactors | UnoccludedFormFactors,
+        irradiance: CastIrradiance | CoupledIrradiance,
     ):
         super().__init__()
         self.encoder, self.cell_features = encoder, CellFeatures(width, hidden)
         self.corrections = nn.Linear(width, 2 * rank + 2, bias=False)
         nn.init.zeros_(self.corrections.weight[rank : 2 * rank])  # starts as the form factors are
         nn.init.zeros_(self.corrections.weight[2 * rank :])
-        self.rank, self.bound, self.iterations, self.form_factors = rank, bound, iterations, form_factors
+        self.rank, self.bound, self.iterations = rank, bound, iterations
+        self.form_factors, self.irradiance = form_factors, irradiance
 
     def forward(self, tokens: SceneTokens) -> Transported:
-        lit, (_, states) = self.each(tokens, self.iterations + self.training)
-        return Transported(lit[self.iterations], states[1:])
+        lit, states, couplings = self._each(tokens, self.iterations + self.training)
+        divergence_from_rays = divergence(couplings, tokens.cells) if self.training else None
+        return Transported(lit[self.iterations], states[1:], divergence_from_rays)
 
     def each(self, tokens: SceneTokens, count: int) -> tuple[list[SceneTokens], Bounces]:
         """The tokens with ⁽ᵏ⁾L on their cells, k = 0 … `count`, and these."""
+        lit, states, _ = self._each(tokens, count)
+        return lit, Bounces(torch.zeros_like(states[0]), states)
+
+    def _each(
+        self, tokens: SceneTokens, count: int
+    ) -> tuple[list[SceneTokens], tuple[Float[Tensor, "c 3"], ...], Float[Tensor, "b longest longest"]]:
         tokens, cells = self.encoder(tokens).tokens, tokens.cells
         features = self.cell_features(tokens, cells)
         with in_float32(features):
             couplings, reflectance = self._operator(features.float(), cells)
-            start = reflectance * cells.arriving
+            start = reflectance * self.irradiance(cells, couplings)
             states = light_after(start, reflectance, couplings, cells, count)
         lit = [replace(tokens, cells=LitCells(cells, features, start, light)) for light in states]
-        return lit, Bounces(torch.zeros_like(start), states)
+        return lit, states, couplings
 
     def _operator(
         self, features: Float[Tensor, "c width"], cells: PackedCells

@@ -35,7 +35,7 @@ class UnlearnedRadiosity(nn.Module):
     def __init__(self, iterations: int = 8):
         super().__init__()
         self.iterations, self.form_factors, self.film = iterations, CastFormFactors(), PixelFilter(0.125)
-        self.gathering = EvenGathering(JointWindow(radius=2, reach=1 / 32, normal=0.3, plane=0.01, spread=2.0))
+        self.gathering = EvenGathering(JointWindow())
 
     @property
     def gbuffer_channels(self) -> tuple[str, ...]:

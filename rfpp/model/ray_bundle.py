@@ -9,7 +9,7 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from rfpp.model.block import RMSNorm
+from rfpp.model.block import FLOAT32_EPS, RMSNorm
 from rfpp.model.view_channels import SIZES
 from rfpp.scene.camera import pixel_plane
 from rfpp.segments import on_device
@@ -38,7 +38,7 @@ class RayBundleEmbedding(nn.Module):
         self.gbuffer_channels = tuple(gbuffer_channels)
         channels = 3 + sum(SIZES[name] for name in self.gbuffer_channels)
         self.proj = nn.Linear(channels * patch_size**2, width)
-        self.norm = RMSNorm(width, eps=None)
+        self.norm = RMSNorm(width, eps=FLOAT32_EPS)
         self.token = nn.Parameter(0.02 * torch.randn(width))
 
     def forward(self, fov: Float[Tensor, " n"], gbuffer: Float[Tensor, "n c h w"]) -> Float[Tensor, "n patches width"]:

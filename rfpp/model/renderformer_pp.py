@@ -28,12 +28,14 @@ class Rendering:
         transport_states: see Transported.states.
         token_segments: B segments of their N tokens.
         state_segments: B segments of the rows of transport_states.
+        divergence: see Transported.divergence.
     """
 
     log_radiance: Float[Tensor, "b v 3 h w"]
     transport_states: tuple[Float[Tensor, "n width"], ...]
     token_segments: Segments | None = None
     state_segments: Segments | None = None
+    divergence: Float[Tensor, ""] | None = None
 
 
 @dataclass(frozen=True)
@@ -43,12 +45,13 @@ class EncodedScenes:
     Attributes:
         tokens: the scene tokens with global illumination in their features.
         exposure: [B] radiance that the tokens call 1.
-        transport_states: see Transported.states.
+        transport_states, divergence: see Transported.
     """
 
     tokens: SceneTokens
     exposure: Float[Tensor, " b"]
     transport_states: tuple[Float[Tensor, "n width"], ...]
+    divergence: Float[Tensor, ""] | None = None
 
 
 class RenderFormerPP(nn.Module):
@@ -79,7 +82,7 @@ class RenderFormerPP(nn.Module):
         log_radiance = self.view(scenes, batch.c2w, batch.fov, batch.gbuffer, supersampling)
         tokens, cells = scenes.tokens, scenes.tokens.cells
         of_states = tokens.segments if cells is None else cells.cells.scenes
-        return Rendering(log_radiance, scenes.transport_states, tokens.segments, of_states)
+        return Rendering(log_radiance, scenes.transport_states, tokens.segments, of_states, scenes.divergence)
 
     def encode(self, batch: RaggedBatch) -> EncodedScenes:
         """The view-independent stage: once per scene, whatever the number of views."""
@@ -98,7 +101,7 @@ class RenderFormerPP(nn.Module):
     def transported(self, exposure: Float[Tensor, " b"], tokens: SceneTokens) -> EncodedScenes:
         """What `tokenize` made, after light has moved."""
         transported = self.transport(tokens)
-        return EncodedScenes(transported.tokens, exposure, transported.states)
+        return EncodedScenes(transported.tokens, exposure, transported.states, transported.divergence)
 
     def bounces(self, batch: RaggedBatch, count: int) -> tuple[list[Float[Tensor, "b v 3 h w"]], Bounces]:
         """log10(1 + radiance) decoded after k = 0 … `count` applications of the operator, and what it was applied to.

@@ -24,10 +24,12 @@ class Transported:
         tokens: the scene tokens with global illumination in their features.
         states: the scattered features ⁽ᵏ⁾F_s, k = 1 … K, and in training one more: T(⁽ᴷ⁾F_s + F_e). Each [N, D].
             Empty where there is no operator.
+        divergence: of couplings between cells from what rays see, in training; see `rfpp.model.form_factors`.
     """
 
     tokens: SceneTokens
     states: tuple[Float[Tensor, "n width"], ...] = ()
+    divergence: Float[Tensor, ""] | None = None
 
 
 class Bounces(NamedTuple):
@@ -131,12 +133,14 @@ class TransportOperator(nn.Module):
 class PhysicsInformedTransport(nn.Module):
     """PITG (paper, Sec. 3.1): ⁽ᵏ⁺¹⁾F_s = T(⁽ᵏ⁾F_s + F_e), K times with one shared operator, then F_s + F_e."""
 
+    operator_class: type[TransportOperator] = TransportOperator
+
     def __init__(self, width: int, heads: int, hidden: int, layers: int, iterations: int, frequencies: int):
         super().__init__()
         self.iterations = iterations
         self.position = RelativeSpatialEncoding(width // heads, frequencies)
         self.emission_encoder = EmissionEncoder(width)
-        self.operator = TransportOperator(width, heads, hidden, layers)
+        self.operator = self.operator_class(width, heads, hidden, layers)
 
     def forward(self, tokens: SceneTokens) -> Transported:
         # in training one more application, for the consistency loss of the last state

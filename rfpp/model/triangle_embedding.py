@@ -9,7 +9,7 @@ from torch import Tensor, nn
 
 from rfpp.batch import RaggedBatch
 from rfpp.errors import UserError
-from rfpp.model.block import RMSNorm
+from rfpp.model.block import FLOAT32_EPS, RMSNorm
 from rfpp.model.encoding import FrequencyEncoding
 from rfpp.radiance import log_encode
 from rfpp.scene.texture import FLAT_NORMAL, TEXTURE_CHANNELS, covered_cells
@@ -27,10 +27,10 @@ class TriangleEmbedding(nn.Module):
         super().__init__()
         self.token = nn.Parameter(0.02 * torch.randn(width))
         self.material_proj = nn.Linear(MATERIAL_CHANNELS, width)
-        self.material_norm = RMSNorm(width, eps=None)
+        self.material_norm = RMSNorm(width, eps=FLOAT32_EPS)
         self.normal_encoding = FrequencyEncoding(normal_frequencies)
         self.normal_proj = nn.Linear(self.normal_encoding.dim(9), width)
-        self.normal_norm = RMSNorm(width, eps=None)
+        self.normal_norm = RMSNorm(width, eps=FLOAT32_EPS)
 
     def forward(self, batch: RaggedBatch) -> Float[Tensor, "m width"]:
         if batch.texture is not None:
@@ -67,10 +67,10 @@ class TexturePatchEmbedding(nn.Module):
         super().__init__()
         self.token = nn.Parameter(0.02 * torch.randn(width))
         self.texture_proj = nn.Linear(TEXTURE_CHANNELS * patch_size**2, width)
-        self.texture_norm = RMSNorm(width, eps=None)
+        self.texture_norm = RMSNorm(width, eps=FLOAT32_EPS)
         self.normal_encoding = FrequencyEncoding(normal_frequencies)
         self.normal_proj = nn.Linear(self.normal_encoding.dim(9), width)
-        self.normal_norm = RMSNorm(width, eps=None)
+        self.normal_norm = RMSNorm(width, eps=FLOAT32_EPS)
         self.register_buffer("flat_normal", torch.tensor(FLAT_NORMAL), persistent=False)
         self.register_buffer("covered", torch.from_numpy(covered_cells(patch_size)), persistent=False)
 

@@ -52,7 +52,13 @@ class RenderingModule(L.LightningModule):
 
     def training_step(self, batch: RaggedBatch, _: int) -> dict[str, Tensor]:
         rendering = self(batch)
-        terms = self.loss(rendering.log_radiance, rendering.transport_states, batch.image, rendering.state_segments)
+        terms = self.loss(
+            rendering.log_radiance,
+            rendering.transport_states,
+            batch.image,
+            rendering.state_segments,
+            rendering.divergence,
+        )
         named_elsewhere = ("loss", "consistency_")  # the second by ConsistencyMonitor
         scalars = {f"train/{k}": v.detach() for k, v in terms.items() if not k.startswith(named_elsewhere)}
         self.log("train/loss", terms["loss"].detach(), prog_bar=True, batch_size=len(batch.keys))

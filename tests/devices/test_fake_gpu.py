@@ -119,7 +119,7 @@ def _counts_on_the_device(batch: RaggedBatch) -> torch.Tensor:
 )
 def test_what_needs_a_value_or_mixes_devices_fails(fault, monkeypatch):
     with fake_gpu():
-        net = network_on(GPU, *VARIANTS["quickstart"])
+        net = network_on(GPU, *VARIANTS["known_light"])
         batch = batch_for(net).to(GPU)
         monkeypatch.setattr(ArrivingLight, "__call__", lambda _, b: fault(b))
         with pytest.raises(Exception, match=r"(?i)local_scalar_dense|nonzero|repeat_interleave|device"):

@@ -64,7 +64,7 @@ def test_rays_are_cast_once(split, tmp_path, monkeypatch):
 
 
 def test_networks_rivals_and_known_light_are_measured_alike(split, tmp_path):
-    net = network("+experiment=quickstart", "model=linear_light")
+    net = network("+experiment=quickstart")
     predictors = {"known": None, "radiosity": UnlearnedRadiosity().eval(), "linear": net}
     found = measure(predictors, split, tmp_path, lambda: torch.autocast("cpu", enabled=False))
     assert found["known"].further().mean == pytest.approx(1.0, rel=1e-5)

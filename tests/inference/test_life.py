@@ -11,8 +11,8 @@ from rfpp.inference.life import EXCHANGED_TOKENS, NO_TRANSPORT, PERMUTED_LIGHT, 
 
 NETWORKS = {
     "paper": ("+experiment=large_scale",),
-    "known light": ("+experiment=quickstart",),
-    "linear light": ("+experiment=quickstart", "model=linear_light"),
+    "known light": ("+experiment=quickstart", "model=known_light"),
+    "linear light": ("+experiment=quickstart",),
     "RenderFormer": ("+experiment=[large_scale,renderformer]",),
 }
 
@@ -39,7 +39,7 @@ def test_another_scene_s_tokens_show_in_a_network_that_reads_them(net):
 
 @torch.no_grad()
 def test_and_not_in_one_that_does_not():
-    net = network("+experiment=quickstart")
+    net = network("+experiment=quickstart", "model=known_light")
     for block in net.decoder.blocks:  # as training may leave them: rays look at nothing but rays
         block.cross_attention.out_proj.weight.zero_()
     batch = batch_for(net)
@@ -50,7 +50,7 @@ def test_and_not_in_one_that_does_not():
 
 @torch.no_grad()
 def test_without_transport_nothing_is_transported():
-    net = network("+experiment=quickstart", "model=linear_light")
+    net = network("+experiment=quickstart")
     batch = batch_for(net)
     still = impaired(net, batch, donated(net, batch))[NO_TRANSPORT]
     bright = replace(batch, cells=replace(batch.cells, hits=torch.full_like(batch.cells.hits, -1)))
@@ -59,7 +59,7 @@ def test_without_transport_nothing_is_transported():
 
 @torch.no_grad()
 def test_light_is_dealt_within_a_scene():
-    net = network("+experiment=quickstart", "model=linear_light")
+    net = network("+experiment=quickstart")
     batch = batch_for(net)
     images = impaired(net, batch, donated(net, batch))
     dark = batch.cells.arriving.clone()

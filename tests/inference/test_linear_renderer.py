@@ -9,7 +9,7 @@ from networks import checkpoint_info, network
 
 from rfpp import Renderer, Scene
 
-LINEAR = ("+experiment=quickstart", "model=linear_light")
+LINEAR = ("+experiment=quickstart",)
 EDITS = (dimmed, moved, reordered)
 
 

@@ -20,6 +20,12 @@ BEYOND_THE_PAPER = {
     "RenderFormer++, known light",
     "RenderFormer++, linear light",
     "RenderFormer++, corrected light",
+    "RenderFormer++, linear light, learned occlusion",
+    "RenderFormer++, linear light from emission alone",
+    "RenderFormer++, known light, operator without unit RMS",
+    "RenderFormer++, known light, operator without residual",
+    "RenderFormer++, known light, rays without it",
+    "RenderFormer++, known light, tokens of zeros",
 }
 METHODS = {row.method for table in (TABLE_1, TABLE_2) for block in table.blocks for row in block.rows}
 VERBS = ("generate", "train", "evaluate")

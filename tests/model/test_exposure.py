@@ -15,7 +15,7 @@ from rfpp.model.ray_bundle import CameraOrigin
 from rfpp.scene.triangles import EMISSION, SceneTriangles
 from rfpp.training.views import moved
 
-QUICKSTART = ("+experiment=quickstart",)
+KNOWN_LIGHT = ("+experiment=quickstart", "model=known_light")
 
 
 def triangle(centre, x, y) -> np.ndarray:
@@ -109,7 +109,7 @@ def with_brighter_lights(views: SceneViews, factor: float) -> SceneViews:
 
 @pytest.mark.parametrize("factor", [0.01, 2.0, 50.0])
 def test_brighter_lights_make_the_image_brighter_by_the_same(factor):
-    net = network(*QUICKSTART)
+    net = network(*KNOWN_LIGHT)
     net.decoder.ray_position = CameraOrigin()  # whose position would otherwise be the last channel
     assert net.gbuffer_channels[4:7] == LIGHT_CHANNELS
     views = random_views(np.random.default_rng(3), (12, 6, 1, 1), channels=22)

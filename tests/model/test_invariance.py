@@ -15,8 +15,8 @@ from rfpp.training.views import moved
 
 VARIANTS = {
     "paper": (),
-    "quickstart": ("+experiment=quickstart",),
-    "linear": ("+experiment=quickstart", "model=linear_light"),
+    "known_light": ("+experiment=quickstart", "model=known_light"),
+    "linear": ("+experiment=quickstart",),
 }
 MOST_CHANNELS = 40
 

@@ -20,7 +20,7 @@ from rfpp.packed_cells import PackedCells
 from rfpp.radiance import log_decode
 from rfpp.training.views import select_views
 
-LINEAR = ("+experiment=quickstart", "model=linear_light")
+LINEAR = ("+experiment=quickstart",)
 CORRECTED = ("+experiment=quickstart", "model=corrected_light")
 LIGHT = ("direct_diffuse", "direct_glossy", "reflected_light")
 
@@ -156,6 +156,7 @@ def test_padding_is_no_cell():
         torch.testing.assert_close(both[0, :4, :4], one[0])
         torch.testing.assert_close(escaping[0, :4], escaped[0])
         assert not both[0, :4, 4:].any()
+        assert torch.isfinite(both).all()
 
 
 def test_what_cells_do_not_fit_is_refused(sample):

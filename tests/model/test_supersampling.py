@@ -15,7 +15,7 @@ ALBEDO, SPECULAR, LIGHT = slice(0, 3), slice(7, 10), slice(10, 19)
 
 @pytest.fixture(scope="module")
 def known_light():
-    net = network("+experiment=quickstart")
+    net = network("+experiment=quickstart", "model=known_light")
     net.decoder.film = CentreSample()
     return net
 
@@ -40,7 +40,7 @@ def repeated(gbuffer: np.ndarray, number: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize("number", [2, 3])
-@pytest.mark.parametrize("overrides", [(), ("+experiment=quickstart",)])
+@pytest.mark.parametrize("overrides", [(), ("+experiment=quickstart", "model=known_light")])
 def test_points_that_are_alike_change_nothing(views, overrides, number):
     net = network(*overrides)
     gbuffer = views.gbuffer[:, : 25 if overrides else 7]
