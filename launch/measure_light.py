@@ -22,6 +22,7 @@ from rfpp.evaluation.light import measure
 from rfpp.evaluation.light_table import COLUMNS, light_row, write_light_rows
 from rfpp.inference.checkpoint import load_network
 from rfpp.inference.precision import matrix_dtype
+from rfpp.model.linear_transport import LinearTransport
 from rfpp.model.radiosity import UnlearnedRadiosity
 from rfpp.shards.stream import ShardSplit
 from rfpp.training.tracking.description import code_version, hardware
@@ -36,6 +37,12 @@ def main(cfg: DictConfig) -> Path:
     radiosity = UnlearnedRadiosity().eval()
     predictors = {"known light alone": None, radiosity.name: radiosity}
     predictors |= {name: network.eval() for name, (network, _) in loaded.items()}
+    if cfg.bounces is not None:
+        for moving in (
+            radiosity,
+            *(n.transport for n, _ in loaded.values() if isinstance(n.transport, LinearTransport)),
+        ):
+            moving.iterations = cfg.bounces - 1  # from cells to pixels is the last
     split = ShardSplit(cfg.data.root, cfg.split, instantiate(cfg.datamodule.cache))
     device = torch.device("cpu")
     dtype = matrix_dtype("auto", device)
@@ -45,6 +52,7 @@ def main(cfg: DictConfig) -> Path:
         errors = measure(predictors, split, Path(cfg.clean), autocast, lambda: bar.advance(task))
     about = {"commit": (code_version() or "")[:12], "hardware": hardware(device)}
     about |= {"data": split.manifest.name, "manifest": split.manifest.hash[:12]}
+    about |= {"bounces": "" if cfg.bounces is None else cfg.bounces}
     infos = {name: info for name, (_, info) in loaded.items()}
     rows = [about | light_row(name, infos.get(name), of_one) for name, of_one in errors.items()]
     console.print(_table(rows))
@@ -54,12 +62,23 @@ def main(cfg: DictConfig) -> Path:
 
 
 def _table(rows: list[dict[str, Any]]) -> Table:
-    table = Table("", "seed", "further light, rel. L1", "log-L1", "other tokens", "permuted light", "no transport")
+    table = Table(
+        "",
+        "seed",
+        "further light, rel. L1",
+        "median",
+        "energy",
+        "log-L1",
+        "other tokens",
+        "permuted light",
+        "no transport",
+    )
     for row in rows:
         spread = f"{row['further_light']:.3f} ({row['further_light_low']:.3f}–{row['further_light_high']:.3f})"
+        middle = [f"{row['further_light_median']:.3f}", f"{row['further_energy']:.2f}", f"{row['log_l1']:.5f}"]
         growth = [row.get(name) for name in COLUMNS[-3:]]
         parts = ["" if value is None else f"{value:+.0%}" for value in growth]
-        table.add_row(row["method"], str(row.get("seed", "")), spread, f"{row['log_l1']:.5f}", *parts)
+        table.add_row(row["method"], str(row.get("seed", "")), spread, *middle, *parts)
     return table
 
 

@@ -32,11 +32,14 @@ class LightErrors:
         wrong: by what was done, of every scene Σ |m(x) − m(y)|, m the means over squares of image minus known light.
         log_l1: likewise, mean |log10(1 + x) − log10(1 + y)|.
         there: of every scene, Σ |m(y)|.
+        added, to_add: of every scene, Σ m(x) and Σ m(y), as it is.
     """
 
     wrong: dict[str, list[float]] = field(default_factory=dict)
     log_l1: dict[str, list[float]] = field(default_factory=dict)
     there: list[float] = field(default_factory=list)
+    added: list[float] = field(default_factory=list)
+    to_add: list[float] = field(default_factory=list)
 
     def add(self, what: str, image: Float[Tensor, "v 3 h w"], known: Tensor, reference: Tensor) -> None:
         """One more scene."""
@@ -46,6 +49,8 @@ class LightErrors:
         self.log_l1.setdefault(what, []).append(error)
         if what == AS_IT_IS:
             self.there.append(of_reference.abs().sum().item())
+            self.added.append(of_image.sum().item())
+            self.to_add.append(of_reference.sum().item())
 
     def further(self, resamples: int = 10_000, seed: int = 0) -> Estimate:
         """Relative L1 of further light, Σ |m(x) − m(y)| / Σ |m(y)| over all scenes; 95% by bootstrap over scenes."""
@@ -53,6 +58,14 @@ class LightErrors:
         draws = np.random.default_rng(seed).integers(len(there), size=(resamples, len(there)))
         low, high = np.percentile(wrong[draws].sum(1) / there[draws].sum(1), INTERVAL)
         return Estimate(float(wrong.sum() / there.sum()), float(low), float(high), len(there))
+
+    def median(self) -> float:
+        """Relative L1 of further light in the median scene: what a few hard scenes do not decide."""
+        return float(np.median(np.array(self.wrong[AS_IT_IS]) / np.array(self.there)))
+
+    def energy(self) -> float:
+        """Further light as a share of what it should be, over all scenes."""
+        return sum(self.added) / sum(self.to_add)
 
     def growth(self) -> dict[str, float]:
         """By how much log-L1 grows with each part made useless, as a share of itself as it is."""

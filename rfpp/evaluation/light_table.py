@@ -12,10 +12,14 @@ from rfpp.inference.checkpoint import CheckpointInfo
 from rfpp.scene.files import write_atomically
 
 COLUMNS = (
-    "commit", "hardware", "data", "manifest", "method", "seed", "steps", "trained_on", "scenes",
-    "further_light", "further_light_low", "further_light_high", "log_l1",
+    "commit", "hardware", "data", "manifest", "method", "seed", "steps", "trained_on", "bounces", "scenes",
+    "further_light", "further_light_low", "further_light_high", "further_light_median", "further_energy", "log_l1",
     "log_l1_growth_exchanged_tokens", "log_l1_growth_permuted_light", "log_l1_growth_no_transport",
 )  # fmt: skip
+
+
+#: What tells one row from another.
+KEY = ("data", "method", "seed", "steps", "trained_on", "bounces")
 
 
 def light_row(name: str, info: CheckpointInfo | None, errors: LightErrors) -> dict[str, Any]:
@@ -30,19 +34,23 @@ def light_row(name: str, info: CheckpointInfo | None, errors: LightErrors) -> di
         "further_light": round(further.mean, 4),
         "further_light_low": round(further.low, 4),
         "further_light_high": round(further.high, 4),
+        "further_light_median": round(errors.median(), 4),
+        "further_energy": round(errors.energy(), 4),
         "log_l1": round(sum(log_l1) / len(log_l1), 5),
         **growth,
     }
 
 
+def light_rows(file: Path) -> list[dict[str, str]]:
+    """The rows of a table."""
+    return list(csv.DictReader(io.StringIO(file.read_text(encoding="utf-8"))))
+
+
 def write_light_rows(rows: list[dict[str, Any]], file: Path) -> Path:
-    """Into a table in which rows of the same data set, method, seed and steps are replaced, and others stay."""
-    key = ("data", "method", "seed", "steps", "trained_on")
-    new = {tuple(str(row.get(name, "")) for name in key) for row in rows}
-    kept = []
-    if file.exists():
-        stored = csv.DictReader(io.StringIO(file.read_text(encoding="utf-8")))
-        kept = [row for row in stored if tuple(row[name] for name in key) not in new]
+    """Into a table in which rows of the same KEY are replaced, and others stay."""
+    new = {tuple(str(row.get(name, "")) for name in KEY) for row in rows}
+    stored = light_rows(file) if file.exists() else []
+    kept = [row for row in stored if tuple(row.get(name, "") for name in KEY) not in new]
     text = io.StringIO()
     writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
     writer.writeheader()

@@ -50,7 +50,8 @@ class RenderingLoss(nn.Module):
         """Every term, unweighted, under its own name; `loss` is their weighted sum.
 
         Names: loss, l1, lpips (where weighted), consistency and consistency_1 … consistency_K (where there are
-        transport states), divergence (where it is given). `target` is linear radiance; `scenes`: see TransportConsistency.
+        transport states), divergence (where it is given). `target` is linear radiance; `scenes`: see
+        TransportConsistency.
         """
         terms = {"l1": log_l1(log_radiance, target)}
         loss = self.l1_weight * terms["l1"]

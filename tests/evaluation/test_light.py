@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 import torch
 from networks import network
+from PIL import Image
 from small_data import make
 
 from rfpp.evaluation.clean_views import clean_scene
 from rfpp.evaluation.light import AS_IT_IS, LightErrors, measure
-from rfpp.evaluation.light_table import write_light_rows
+from rfpp.evaluation.light_summary import main, markdown
+from rfpp.evaluation.light_table import COLUMNS, write_light_rows
 from rfpp.model.radiosity import UnlearnedRadiosity
 from rfpp.shards.stream import ShardSplit
 
@@ -80,3 +82,36 @@ def test_the_table_keeps_the_rows_of_others(tmp_path):
     write_light_rows([row | {"log_l1": 0.25}], file)
     rows = list(csv.DictReader(file.open(encoding="utf-8")))
     assert [(r["method"], r["log_l1"]) for r in rows] == [("b", "0.5"), ("a", "0.25")]
+
+
+def test_light_that_is_missing_everywhere_shows_as_energy():
+    found = errors(KNOWN + FURTHER, KNOWN + 0.5 * FURTHER)
+    assert found.energy() == pytest.approx(0.75, rel=1e-3)
+    assert found.median() == pytest.approx(0.25, rel=1e-2)
+
+
+def row(**values) -> dict[str, str]:
+    return dict.fromkeys(COLUMNS, "") | {
+        "data": "light_test", "further_light_low": "0.1", "further_light_high": "0.3", "further_light_median": "0.2",
+        "further_energy": "1", "log_l1": "0.003",
+    } | values  # fmt: skip
+
+
+def test_seeds_stand_together_and_the_best_first():
+    ours = {"method": "ours", "steps": "300", "trained_on": "quickstart", "log_l1_growth_exchanged_tokens": "0.25"}
+    rows = [row(method="rival", further_light="0.25")]
+    rows += [row(**ours, seed=str(seed), further_light=light) for seed, light in enumerate(("0.1", "0.3"))]
+    lines = markdown(rows).splitlines()
+    assert lines[0] == "## light_test"
+    assert lines[4].startswith("| ours, 300 steps on quickstart | 2 | 0.200 ± 0.141 | 0.100–0.300 |")
+    assert "| +25.0% |" in lines[4]
+    assert lines[5].startswith("| *rival* |  | 0.250 |")
+
+
+def test_the_command_writes_table_and_picture(tmp_path):
+    file = write_light_rows(
+        [row(method="rival", further_light="0.25"), row(method="a", further_light="1")], tmp_path / "light.csv"
+    )
+    main([str(file)])
+    assert (tmp_path / "light.md").read_text(encoding="utf-8").count("|---|") == 1
+    assert Image.open(tmp_path / "light.png").size[0] > 600
