@@ -29,6 +29,7 @@ from rfpp.evaluation.ranking import pictured_scenes, ranked_scenes
 from rfpp.evaluation.records import ImageRecord, scene_records
 from rfpp.evaluation.report import write_report
 from rfpp.evaluation.results import log_to_training_run, results_folder, run_folder
+from rfpp.evaluation.signs_of_life import life_text, signs_of_life
 from rfpp.evaluation.training_cost import TrainingCost
 from rfpp.inference.checkpoint import load_network
 from rfpp.metrics.image import ImageMetrics
@@ -94,10 +95,11 @@ def _evaluate(
     if info.data_manifest != manifest.hash:
         console.print(f"Note: {checkpoint} was trained on another data set than {cfg.data.root}.", style="yellow")
 
-    images, panels, pictures = [], [], {}
+    images, panels, pictures, life = [], [], {}, {}
     with _bar(console) as bar:
         for split in splits:
             mine = network_records(network, split, metrics, device, _task(bar, split, "model"))
+            life[split.split] = signs_of_life(network, split, device, cfg.evaluation.life_scenes)
             scenes = scene_records(mine)
             shown = pictured_scenes(scenes, cfg.evaluation.pictured_scenes)
             views = {index: first_view(render_stored(network, split, index, device)) for index in shown}
@@ -109,14 +111,17 @@ def _evaluate(
     scenes, bootstrap = scene_records(images), Bootstrap(**cfg.evaluation.bootstrap)
     means, buckets = split_estimates(scenes, bootstrap), bucketed(scenes, cfg.evaluation.buckets, bootstrap)
     cost = TrainingCost.of_run(run_folder(checkpoint))
-    evaluation = Evaluation.of(info, manifest, device, means, cost)
+    evaluation = Evaluation.of(info, manifest, device, means, cost, life)
     tables = [*write_records(images, scenes, output), write_summary(means, output), write_buckets(buckets, output)]
     files = [*tables, evaluation.write(output), write_pictures(pictures, output), *panels, write_config(cfg, output)]
     report = write_report(output)
     console.print(results_table(means, buckets))
+    for split, shares in life.items():
+        if shares:
+            console.print(f"{split}: {life_text(shares)}", soft_wrap=True)
     console.print(f"Report: {report}", soft_wrap=True)
     console.print(f"Per image, per scene, summary, buckets and panels: {output}", soft_wrap=True)
-    console.print(log_to_training_run(info, manifest.name, means, [*files, report]), soft_wrap=True)
+    console.print(log_to_training_run(info, evaluation, [*files, report]), soft_wrap=True)
     return evaluation
 
 

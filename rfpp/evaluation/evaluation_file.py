@@ -6,7 +6,7 @@ import json
 import math
 from collections import defaultdict
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +35,7 @@ class Evaluation:
         definitions: by metric name: the formula with its tone map and epsilon.
         means: by split, predictor ("model" or a baseline's name) and metric.
         cost: of training, where it is known.
+        life: by split, see `rfpp.evaluation.signs_of_life`; empty in evaluations that were made without.
     """
 
     method: str
@@ -48,6 +49,7 @@ class Evaluation:
     definitions: Mapping[str, str]
     means: Mapping[tuple[str, str], Estimates]
     cost: TrainingCost | None = None
+    life: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
     @classmethod
     def of(
@@ -57,6 +59,7 @@ class Evaluation:
         device: torch.device,
         means: Mapping[tuple[str, str], Estimates],
         cost: TrainingCost | None = None,
+        life: Mapping[str, Mapping[str, float]] | None = None,
     ) -> Evaluation:
         """Of the checkpoint that `info` describes, on the data of `manifest`, computed on `device`."""
         measured = {name for values in means.values() for name in values}
@@ -72,6 +75,7 @@ class Evaluation:
             definitions={name: metric.definition for name, metric in METRICS.items() if name in measured},
             means=means,
             cost=cost,
+            life=life or {},
         )
 
     @classmethod

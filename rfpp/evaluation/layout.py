@@ -10,6 +10,7 @@ import numpy as np
 from rfpp.evaluation.evaluation_file import Evaluation
 from rfpp.evaluation.number_text import EMPTY, interval_text, number_text
 from rfpp.evaluation.rows import ResultTable, Row, Run
+from rfpp.evaluation.signs_of_life import life_text
 from rfpp.metrics.image import METRICS
 
 #: What the lines of a row mean.
@@ -105,8 +106,14 @@ def _description(run: Run) -> str:
     hardware = " and ".join(dict.fromkeys(e.hardware for e in run.evaluations))
     return (
         f"{training_text(run)}, seed{'s' * (len(run.seeds) > 1)} {seeds}, commit {first.commit or 'unknown'}; "
-        f"evaluated on {' and '.join(map(_data, by_data.values()))}, by {hardware}."
+        f"evaluated on {' and '.join(map(_data, by_data.values()))}, by {hardware}.{_life(run)}"
     )
+
+
+def _life(run: Run) -> str:
+    """What of the first seed's network lives, on the last split."""
+    of_splits = list(run.evaluations[0].life.values())
+    return f" Seed {run.evaluations[0].seed}: {life_text(of_splits[-1])}." if of_splits and of_splits[-1] else ""
 
 
 def _data(e: Evaluation) -> str:

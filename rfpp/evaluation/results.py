@@ -7,6 +7,7 @@ from pathlib import Path
 
 from rfpp.errors import UserError
 from rfpp.evaluation.confidence import Estimates
+from rfpp.evaluation.evaluation_file import Evaluation
 from rfpp.evaluation.records import MODEL
 from rfpp.extras import missing_extra
 from rfpp.inference.checkpoint import CheckpointInfo
@@ -39,10 +40,8 @@ def run_folder(checkpoint: str) -> Path:
     return path.absolute().parents[1] if path.is_file() else RUNS / path.name
 
 
-def log_to_training_run(
-    info: CheckpointInfo, data: str, means: Mapping[tuple[str, str], Estimates], files: Sequence[Path]
-) -> str:
-    """Add means and files to the run that made the checkpoint; returns a line about it.
+def log_to_training_run(info: CheckpointInfo, evaluation: Evaluation, files: Sequence[Path]) -> str:
+    """Add what was measured and files to the run that made the checkpoint; returns a line about it.
 
     On a data set that it was not trained on, metrics begin with `<data>/`, and files are in `evaluation_<data>/`.
 
@@ -52,8 +51,12 @@ def log_to_training_run(
     if info.mlflow_run_id is None or info.mlflow_tracking_uri is None:
         return "The checkpoint names no MLflow run: nothing logged there."
     run = f"MLflow run {info.mlflow_run_id} in {info.mlflow_tracking_uri}"
+    data = evaluation.data
     where = dict.fromkeys(files, _artifact_folder(info, data))
-    metrics = tracked_metrics(means, prefix="" if data == info.dataset else f"{data}/")
+    prefix = "" if data == info.dataset else f"{data}/"
+    metrics = tracked_metrics(evaluation.means, prefix)
+    for split, shares in evaluation.life.items():
+        metrics |= {f"{prefix}{split}/life/{what}": share for what, share in shares.items()}
     try:
         log_results(info.mlflow_tracking_uri, info.mlflow_run_id, metrics, where)
     except (UserError, ModuleNotFoundError) as error:

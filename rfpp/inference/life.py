@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from dataclasses import replace
 
 import torch
@@ -9,6 +10,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from rfpp.batch import RaggedBatch
+from rfpp.losses.radiance import log_l1
 from rfpp.model.renderformer_pp import RenderFormerPP
 from rfpp.model.tokenizer import SceneTokens
 
@@ -50,6 +52,34 @@ def impaired(
 def donated(network: RenderFormerPP, batch: RaggedBatch) -> Float[Tensor, "n width"]:
     """The scene tokens of a batch, before light has moved, to give to others."""
     return network.tokenize(batch)[1].features
+
+
+class ErrorGrowth:
+    """By how much log-L1 grows with each part made useless, over scenes that are given one after another.
+
+    The first scene has no other's tokens to be given, and is left out.
+    """
+
+    def __init__(self):
+        self._donor: Tensor | None = None
+        self._errors: dict[str, list[Tensor]] = defaultdict(list)
+
+    def add(self, network: RenderFormerPP, batch: RaggedBatch, as_it_is: Float[Tensor, "b v 3 h w"]) -> None:
+        """One more batch.
+
+        Args:
+            as_it_is: log10(1 + radiance) that the network gives.
+        """
+        if self._donor is not None:
+            images = {"": as_it_is, **impaired(network, batch, self._donor)}
+            for what, image in images.items():
+                self._errors[what].append(log_l1(image, batch.image))
+        self._donor = donated(network, batch)
+
+    def shares(self) -> dict[str, float]:
+        """As shares of the error as it is, by what was done; at 0 the part could as well be left out."""
+        errors = {what: torch.stack(of_scenes).mean().item() for what, of_scenes in self._errors.items()}
+        return {what: error / errors[""] - 1 for what, error in errors.items() if what}
 
 
 def _within_scenes(scene: Tensor) -> Tensor:

@@ -40,29 +40,32 @@ def table(tmp_path) -> Path:
     return path
 
 
-def test_results_are_added_to_the_finished_training_run(finished_run, table) -> None:
+def test_results_are_added_to_the_finished_training_run(finished_run, table, evaluation) -> None:
     client, uri, run = finished_run
-    assert log_to_training_run(_info(uri, run), "small", MEANS, [table]).startswith("Logged")
-    assert client.get_run(run).data.metrics == tracked_metrics(MEANS)
+    mine = evaluation(data="small", means=MEANS, life={"test": {"exchanged_tokens": 0.5}})
+    assert log_to_training_run(_info(uri, run), mine, [table]).startswith("Logged")
+    assert client.get_run(run).data.metrics == tracked_metrics(MEANS) | {"test/life/exchanged_tokens": 0.5}
     assert [f.path for f in client.list_artifacts(run, "evaluation")] == ["evaluation/summary.csv"]
 
 
-def test_results_on_other_data_do_not_replace_those_on_its_own(finished_run, table) -> None:
+def test_results_on_other_data_do_not_replace_those_on_its_own(finished_run, table, evaluation) -> None:
     client, uri, run = finished_run
-    log_to_training_run(_info(uri, run), "large_scale", MEANS, [table])
+    log_to_training_run(_info(uri, run), evaluation(data="large_scale", means=MEANS), [table])
     assert client.get_run(run).data.metrics["large_scale/test/log_l1"] == 0.01
     assert "test/log_l1" not in client.get_run(run).data.metrics
     assert [f.path for f in client.list_artifacts(run)] == ["evaluation_large_scale"]
 
 
-def test_a_lost_run_is_said_in_one_line(tmp_path) -> None:
-    line = log_to_training_run(_info(f"sqlite:///{tmp_path}/mlflow.db", "0" * 32), "small", MEANS, [])
+def test_a_lost_run_is_said_in_one_line(tmp_path, evaluation) -> None:
+    line = log_to_training_run(
+        _info(f"sqlite:///{tmp_path}/mlflow.db", "0" * 32), evaluation(data="small", means=MEANS), []
+    )
     assert line.startswith("Not logged")
     assert "\n" not in line
 
 
-def test_a_checkpoint_without_a_run_is_said() -> None:
-    assert "no MLflow run" in log_to_training_run(_info(None, None), "small", MEANS, [])
+def test_a_checkpoint_without_a_run_is_said(evaluation) -> None:
+    assert "no MLflow run" in log_to_training_run(_info(None, None), evaluation(data="small", means=MEANS), [])
 
 
 def test_results_go_into_the_run_of_the_checkpoint(tmp_path) -> None:

@@ -182,3 +182,9 @@ def test_an_evaluation_is_in_one_table_or_another(evaluation, tmp_path) -> None:
         e.write(tmp_path / str(index))
     shown = [e for table in result_tables([tmp_path]) for e in table.evaluations()]
     assert len(shown) == len(all_of_them)
+
+
+def test_a_note_says_what_of_the_network_lives(evaluation, tables):
+    life = {"test": {"exchanged_tokens": 0.021, "no_transport": 1.08}}
+    text = tables(evaluation(data="quickstart", life=life))["others.md"]
+    assert "Seed 0: log-L1 with other scenes' tokens +2%, without transport +108%." in text

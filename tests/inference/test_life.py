@@ -7,7 +7,8 @@ import torch
 from network_variants import batch_for
 from networks import network
 
-from rfpp.inference.life import EXCHANGED_TOKENS, NO_TRANSPORT, PERMUTED_LIGHT, donated, impaired
+from rfpp.inference.life import EXCHANGED_TOKENS, NO_TRANSPORT, PERMUTED_LIGHT, ErrorGrowth, donated, impaired
+from rfpp.losses.radiance import log_l1
 
 NETWORKS = {
     "paper": ("+experiment=large_scale",),
@@ -74,3 +75,16 @@ def test_a_network_without_an_operator_has_none_to_take_away():
     batch = batch_for(net)
     with torch.no_grad():
         assert set(impaired(net, batch, donated(net, batch))) == {EXCHANGED_TOKENS}
+
+
+@torch.no_grad()
+def test_growth_is_a_share_of_the_error_and_needs_another_scene():
+    net, growth = network("+experiment=quickstart"), ErrorGrowth()
+    for scenes in (1, 2):  # the second time the last scene is another one
+        batch = batch_for(net, scenes=scenes)
+        growth.add(net, batch, net(batch).log_radiance)
+        if scenes == 1:
+            assert growth.shares() == {}
+    dark = impaired(net, batch, donated(net, batch_for(net, scenes=1)))
+    expected = log_l1(dark[NO_TRANSPORT], batch.image) / log_l1(net(batch).log_radiance, batch.image) - 1
+    assert growth.shares()[NO_TRANSPORT] == pytest.approx(expected.item(), rel=1e-4)

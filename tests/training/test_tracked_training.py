@@ -113,7 +113,7 @@ def test_a_network_that_does_not_read_its_tokens_is_warned_of_once():
 def test_the_run_says_what_ran(tracked):
     _, checkpoint, client, run = tracked
     assert run.info.status == "FINISHED"
-    assert run.data.params["model.transport.iterations"] == "3"
+    assert run.data.params["model.transport.iterations"] == "8"
     tags = run.data.tags
     assert {"code_version", "data_manifest", "host", "run_dir"} <= tags.keys()
     assert tags["resumed"] == "0"

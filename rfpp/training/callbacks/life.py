@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import warnings
-from collections import defaultdict
 from collections.abc import Mapping
 
 import lightning as L
@@ -11,8 +10,8 @@ import torch
 from torch import Tensor
 
 from rfpp.batch import RaggedBatch
-from rfpp.inference.life import EXCHANGED_TOKENS, donated, impaired
-from rfpp.losses.radiance import log_l1
+from rfpp.inference.life import EXCHANGED_TOKENS, ErrorGrowth
+from rfpp.radiance import log_encode
 
 
 class SignsOfLife(L.Callback):
@@ -32,8 +31,7 @@ class SignsOfLife(L.Callback):
         self._warned = False
 
     def on_validation_start(self, trainer: L.Trainer, module: L.LightningModule) -> None:
-        self._donor: Tensor | None = None
-        self._errors: dict[str, list[Tensor]] = defaultdict(list)
+        self._growth = ErrorGrowth()
 
     @torch.no_grad()
     def on_validation_batch_end(
@@ -48,18 +46,12 @@ class SignsOfLife(L.Callback):
         if batch_index > self.scenes:
             return
         with trainer.precision_plugin.forward_context():
-            if self._donor is not None:
-                for what, image in impaired(module.network, batch, self._donor).items():
-                    self._errors[what].append(log_l1(image, batch.image))
-                self._errors[""].append(outputs["log_l1"].mean())
-            self._donor = donated(module.network, batch)
+            self._growth.add(module.network, batch, log_encode(outputs["radiance"]))
 
     def on_validation_end(self, trainer: L.Trainer, module: L.LightningModule) -> None:
-        errors = {what: torch.stack(of_scenes).mean() for what, of_scenes in self._errors.items()}
-        if not errors or trainer.sanity_checking:
+        growth = {f"life/{what}": share for what, share in self._growth.shares().items()}
+        if not growth or trainer.sanity_checking:
             return
-        as_it_is = errors.pop("")
-        growth = {f"life/{what}": float(error / as_it_is) - 1 for what, error in errors.items()}
         for logger in trainer.loggers if trainer.is_global_zero else ():
             logger.log_metrics(growth, step=trainer.global_step - 1)  # Lightning counts from 0: as all others
         if trainer.is_global_zero:
