@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import torch
+import torch.nn.functional as F
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
@@ -36,7 +37,7 @@ class EvenGathering:
             cells: lit. The glossy lobe gathers what is beyond their first bounce: that one is in `reflected_light`.
         """
         lobes, guides = rays_of_lobes(gbuffer, cells, self.window)
-        gathered = [with_nothing(light)[rows].mean(1).permute(0, 3, 1, 2) for rows, light in lobes]
+        gathered = [of_rays(light, rows).mean(1).permute(0, 3, 1, 2) for rows, light in lobes]
         return self.window(torch.cat(gathered, dim=1), guides)
 
 
@@ -87,9 +88,9 @@ class CellGathering(nn.Module):
         light: Float[Tensor, "c 3"],
     ) -> Float[Tensor, "n 3 h w"]:
         query, bias = maps.split([self.rank, 1], dim=1)
-        score = torch.einsum("nqhw,nrhwq->nrhw", query, with_nothing(keys)[rows]) / self.rank**0.5
+        score = torch.einsum("nqhw,nrhwq->nrhw", query, of_rays(keys, rows)) / self.rank**0.5
         weight = torch.exp(self.bound * torch.tanh(score + bias)) / rows.shape[1]
-        return torch.einsum("nrhw,nrhwc->nchw", weight, with_nothing(light)[rows])
+        return torch.einsum("nrhw,nrhwc->nchw", weight, of_rays(light, rows))
 
 
 Lobe = tuple[Int[Tensor, "n rays h w"], Float[Tensor, "c 3"]]
@@ -108,6 +109,9 @@ def rays_of_lobes(
     return [(cells.rows(diffuse), cells.light), (cells.rows(glossy), cells.light - cells.start)], guides
 
 
-def with_nothing(of_cells: Float[Tensor, "c n"]) -> Float[Tensor, "c_plus_1 n"]:
-    """A last row of zeros, for rays that meet no cell."""
-    return torch.cat([of_cells, of_cells.new_zeros(1, of_cells.shape[1])])
+def of_rays(
+    of_cells: Float[Tensor, "c n"], rows: Int[Tensor, "n_views rays h w"]
+) -> Float[Tensor, "n_views rays h w n"]:
+    """What each ray brings of the cell that it meets; zeros where it meets none."""
+    with_nothing = torch.cat([of_cells, of_cells.new_zeros(1, of_cells.shape[1])])
+    return F.embedding(rows, with_nothing)  # as indexing, with a gradient that is five times as fast on a CPU
