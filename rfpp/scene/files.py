@@ -1,8 +1,9 @@
-"""Writing files so that a reader never sees half of one."""
+"""Names of files, and writing them so that a reader never sees half of one."""
 
 from __future__ import annotations
 
 import os
+import re
 import tempfile
 from pathlib import Path
 
@@ -28,3 +29,13 @@ def write_atomically(path: Path, content: bytes) -> Path:
             Path(temporary).unlink(missing_ok=True)
         raise UserError(f"{path}: cannot be written ({error.strerror}): free space or choose another place") from None
     return path
+
+
+def is_plain_name(name: object) -> bool:
+    """Whether text from outside may name a file: letters, digits, dots, dashes, underscores."""
+    return isinstance(name, str) and re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,199}", name) is not None
+
+
+def as_file_name(text: str) -> str:
+    """A plain name that is as near to the text as can be."""
+    return re.sub(r"[^A-Za-z0-9_.-]", "_", text).lstrip(".-")[:200] or "unnamed"

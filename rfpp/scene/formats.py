@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -12,7 +11,7 @@ from typing import Annotated, Any
 from pydantic import Field
 
 from rfpp.errors import SceneError
-from rfpp.scene.files import write_atomically
+from rfpp.scene.files import as_file_name, write_atomically
 from rfpp.scene.mesh import Mesh, decimated, load_mesh, save_mesh
 from rfpp.scene.spec import Camera, Material, Scene, SceneObject, Strict, Transform
 from rfpp.scene.untrusted import MAX_JSON_BYTES, MAX_PARTS, beside, one_line, parse_json, read_bytes, require_bounded
@@ -98,7 +97,7 @@ def _save_meshes(meshes: list[Mesh], names: list[str], scene_path: Path) -> list
         content = (mesh.vertices.tobytes(), mesh.faces.tobytes())
         if content not in written:
             # The number keeps names apart that differ only in characters which file systems do not like.
-            file_name = f"{len(written):02d}_{re.sub(r'[^A-Za-z0-9_.-]', '_', name)}.obj"
+            file_name = f"{len(written):02d}_{as_file_name(name)}.obj"
             written[content] = f"{scene_path.stem}_meshes/{file_name}"
             save_mesh(mesh, scene_path.parent / written[content])
         paths.append(written[content])

@@ -25,6 +25,7 @@ from scipy.sparse.csgraph import connected_components
 from rfpp.errors import SceneError
 from rfpp.scene.files import write_atomically
 from rfpp.scene.packed import PackedScene
+from rfpp.scene.spec import FARTHEST
 from rfpp.scene.texture import (
     FLAT_NORMAL,
     MATERIAL_CHANNELS,
@@ -35,7 +36,7 @@ from rfpp.scene.texture import (
     mean_material,
 )
 from rfpp.scene.triangles import SceneTriangles
-from rfpp.scene.untrusted import one_line, require_bounded
+from rfpp.scene.untrusted import MAX_ENTRIES, one_line, require_bounded
 
 #: Data set → shape; M triangles, P cells along a patch, V cameras.
 _SHAPES = {
@@ -53,6 +54,7 @@ _COMPRESSION = {"compression": "gzip", "compression_opts": 9, "shuffle": True}
 _SLAB = 1024  # patches in memory at a time: 27 MB; all of a large scene's are gigabytes
 _NEAR, _FAR = 0.05, 5.0
 _MAX_PATCH = 128
+_LEAST_RIGHT = 0.01  # scalar products of a camera's axes may differ from 0 and 1 by so much
 _MOST_COMPRESSED = 1100  # deflate makes nothing smaller than a thousandth of itself
 
 
@@ -68,6 +70,7 @@ def load_h5(path: Path) -> PackedScene:
     with _opened(path) as file:
         _check_shapes(file)
         arrays = {name: _finite(name, file[name][()]) for name in _SHAPES if name != "texture"}
+        _require_cameras(arrays["c2w"], arrays["fov"])
         material, texture = _material(file["texture"])
         objects = _stored_objects(file) if _OBJECTS in file else _connected(arrays["triangles"], material)
 
@@ -139,6 +142,8 @@ def save_h5(
 def _opened(path: Path) -> Iterator[h5py.File]:
     """The file, with its name in front of any SceneError raised inside."""
     try:
+        if path.exists() and not path.is_file():
+            raise SceneError("is not a regular file: correct the path")
         with h5py.File(path) as file:
             yield file
     except SceneError as error:
@@ -152,10 +157,13 @@ def _opened(path: Path) -> Iterator[h5py.File]:
 
 def _dataset(file: h5py.File, name: str, fix: str) -> h5py.Dataset:
     """Numbers in this very file, no more than its size can hold."""
-    if name not in file or not isinstance(file[name], h5py.Dataset):
+    link = file.get(name, getlink=True)  # before it is followed: what it leads to may never answer
+    if link is not None and not isinstance(link, h5py.HardLink):
+        raise SceneError(f"{name}: its content lies in another file: copy it into this one")
+    if link is None or not isinstance(file[name], h5py.Dataset):
         raise SceneError(f"the data set '{name}' is missing: {fix}")
     dataset = file[name]
-    if not isinstance(file.get(name, getlink=True), h5py.HardLink) or dataset.external or dataset.is_virtual:
+    if dataset.external or dataset.is_virtual:
         raise SceneError(f"{name}: its content lies in another file: copy it into this one")
     if dataset.dtype.kind not in "fiu" or dataset.ndim == 0:
         raise SceneError(f"{name}: {dataset.dtype} where an array of numbers was expected: convert the scene again")
@@ -177,8 +185,22 @@ def _check_shapes(file: h5py.File) -> None:
     if not sizes["M"]:
         raise SceneError("triangles: the scene is empty")
     require_bounded(sizes["M"])
+    if sizes["V"] > MAX_ENTRIES:
+        raise SceneError(f"c2w: {sizes['V']:,} cameras, of which {MAX_ENTRIES:,} are read at most")
     if not 1 <= sizes["P"] <= _MAX_PATCH:
         raise SceneError(f"texture: patches of {sizes['P']} cells a side: give 1 to {_MAX_PATCH}")
+
+
+def _require_cameras(c2w: Float[np.ndarray, "v 4 4"], fov: np.ndarray) -> None:
+    """Raises SceneError for what is no view."""
+    if not ((fov > 0) & (fov < 180)).all():
+        raise SceneError("fov: not between 0 and 180 degrees: convert the scene again")
+    axes = c2w[:, :3, :3].astype(np.float64)
+    if (
+        np.abs(axes @ axes.swapaxes(1, 2) - np.eye(3)).max(initial=0) > _LEAST_RIGHT
+        or np.abs(c2w).max(initial=0) > FARTHEST
+    ):
+        raise SceneError("c2w: not a camera's pose, of three unit axes and a place: convert the scene again")
 
 
 def _finite(name: str, array: np.ndarray) -> np.ndarray:

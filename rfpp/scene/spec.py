@@ -22,11 +22,15 @@ from rfpp.scene.untrusted import one_line
 if TYPE_CHECKING:
     from rfpp.scene.packed import PackedScene
 
-Vector = tuple[float, float, float]
+#: Lengths, angles and radiances beyond are mistakes, and lose what is small beside them in float32.
+FARTHEST, BRIGHTEST = 1e5, 1e9
+Number = Annotated[float, Field(ge=-FARTHEST, le=FARTHEST)]
+Vector = tuple[Number, Number, Number]
 Reflectance = tuple[
     Annotated[float, Field(ge=0, le=1)], Annotated[float, Field(ge=0, le=1)], Annotated[float, Field(ge=0, le=1)]
 ]
-Radiance = tuple[Annotated[float, Field(ge=0)], Annotated[float, Field(ge=0)], Annotated[float, Field(ge=0)]]
+Power = Annotated[float, Field(ge=0, le=BRIGHTEST)]
+Radiance = tuple[Power, Power, Power]
 
 
 class Strict(BaseModel):

@@ -5,12 +5,14 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import re
 import tarfile
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from rfpp.errors import ShardError
+from rfpp.scene.files import is_plain_name
 from rfpp.shards import tar
 
 #: What to run when something is missing or damaged.
@@ -46,6 +48,13 @@ class Shard:
     bytes: int
     sha256: str
     fingerprint: str
+
+    def __post_init__(self) -> None:
+        """Raises ValueError for what leads elsewhere: indices and manifests come from other machines."""
+        if not (is_plain_name(self.file) and self.file.endswith(".tar")):
+            raise ValueError(f"{self.file!r} is not the name of a shard")
+        require_hash(self.sha256)
+        require_count(self.bytes)
 
     @property
     def index_file(self) -> str:
@@ -106,9 +115,19 @@ class ShardIndex(Shard):
 
     @classmethod
     def from_bytes(cls, text: bytes) -> ShardIndex:
-        """The inverse of `to_bytes`. Raises ValueError, KeyError or TypeError on anything else."""
+        """The inverse of `to_bytes`. Raises ValueError, KeyError, TypeError or AttributeError on anything else."""
         content = json.loads(text)
         return cls(**{**content, "samples": tuple(SampleEntry(*row) for row in content["samples"])})
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for entry in self.samples:
+            if not is_plain_name(entry.key):
+                raise ValueError(f"{entry.key!r} is not the key of a sample")
+            require_hash(entry.sha256)
+            require_count(*entry[1:3], *entry[4:])
+            if entry.offset + entry.size > self.bytes:
+                raise ValueError(f"sample {entry.key} ends behind its shard")
 
     def to_bytes(self) -> bytes:
         """The content of the index file."""
@@ -122,6 +141,11 @@ class ListedShard(Shard):
     samples: int
     index_bytes: int
     index_sha256: str
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_hash(self.index_sha256)
+        require_count(self.samples, self.index_bytes)
 
     @classmethod
     def of(cls, index: ShardIndex) -> ListedShard:
@@ -137,6 +161,19 @@ class ListedShard(Shard):
         )
 
 
+def require_hash(text: object) -> None:
+    """Raises ValueError unless it is a sha256 in hexadecimal."""
+    if not (isinstance(text, str) and re.fullmatch(r"[0-9a-f]{64}", text)):
+        raise ValueError(f"{text!r} is not a sha256")
+
+
+def require_count(*numbers: object) -> None:
+    """Raises ValueError for what cannot be a size or a number of things."""
+    for number in numbers:
+        if type(number) is not int or not 0 <= number < 2**63:
+            raise ValueError(f"{number!r} is not a number of bytes or things")
+
+
 def index_file(file: str) -> str:
     """The name of the index beside the shard `file`."""
     return Path(file).with_suffix(".json").name
@@ -147,7 +184,7 @@ def load_index(root: Path, file: str) -> ShardIndex | None:
     try:
         index = ShardIndex.from_bytes((root / index_file(file)).read_bytes())
         index.require_intact_file(root)
-    except (OSError, ValueError, KeyError, TypeError, ShardError):
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, ShardError):
         return None
     return index
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from rfpp.errors import ShardError
+from rfpp.scene.files import is_plain_name
 from rfpp.shards.cache import ShardCache
 from rfpp.shards.index import REMEDY, ListedShard, SampleEntry, ShardIndex
 from rfpp.shards.sample import SCHEMA_VERSION
@@ -35,6 +36,8 @@ class Manifest:
     def __init__(self, store: Store, content: dict[str, Any], digest: str) -> None:
         self.store = store
         self.name: str = content["name"]
+        if not is_plain_name(self.name):  # results are written to a folder of that name
+            raise ValueError(f"{self.name!r} is not the name of a data set")
         self.settings: dict[str, Any] = content["settings"]
         self.counts: dict[str, int] = content["counts"]
         self.hash = digest
@@ -82,7 +85,11 @@ class Manifest:
                 f"{self.root}/{shard.index_file}: the index does not have the sha256 in the manifest: "
                 f"{shard.remedy_at(self.root)}"
             )
-        return ShardIndex.from_bytes(text)
+        try:
+            return ShardIndex.from_bytes(text)
+        except (ValueError, KeyError, TypeError, AttributeError) as error:
+            why = f"{self.root}/{shard.index_file}: not the index of a shard ({error})"
+            raise ShardError(f"{why}: {shard.remedy_at(self.root)}") from error
 
     def samples(self, split: str) -> list[SampleEntry]:
         """The samples of a split in order of their index; reads the index of every shard."""

@@ -29,6 +29,8 @@ def unpack(blocks: bytes) -> tuple[str, dict[str, bytes]]:
     key = ""
     with tarfile.open(fileobj=io.BytesIO(blocks)) as archive:
         for entry in archive:
+            if not entry.isfile():
+                raise tarfile.TarError(f"{entry.name} is not a plain file")
             key, _, member = entry.name.partition(".")
             members[member] = archive.extractfile(entry).read()
     return key, members

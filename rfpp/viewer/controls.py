@@ -13,12 +13,14 @@ import viser
 from PIL import Image
 
 from rfpp.errors import UserError
+from rfpp.scene.files import as_file_name
 from rfpp.scene.packed import PackedScene, pack
 from rfpp.scene.spec import Camera, Scene, SceneObject
 from rfpp.tone_maps import ToneMap
 from rfpp.viewer.comparison import COMPARISONS
 from rfpp.viewer.edits import moved, power, quaternion, remade, replaced, shining, tint, turned
 from rfpp.viewer.picked_colour import from_picker, to_picker
+from rfpp.viewer.received import choice, colour, number, vector
 from rfpp.viewer.reference import PathTracer, Reference
 from rfpp.viewer.session import Drawn, Session
 from rfpp.viewer.shown import Shown
@@ -50,11 +52,11 @@ def add_view(
         names = tuple(f"camera {i}" for i in range(len(cameras)))
         where = gui.add_button_group("Go to", names)
 
-    what.on_update(lambda _: session.change(shown=shown[what.value]))
-    side.on_update(lambda _: session.change(longer_side=side.value))
+    what.on_update(lambda _: session.change(shown=shown[choice(what)]))
+    side.on_update(lambda _: session.change(longer_side=round(number(side))))
     for handle in (tone_map, stops):
-        handle.on_update(lambda _: session.change(tone_map=tone_maps[tone_map.value](stops=stops.value)))
-    where.on_click(lambda _: stand_at(cameras[names.index(where.value)]))
+        handle.on_update(lambda _: session.change(tone_map=tone_maps[choice(tone_map)](stops=number(stops))))
+    where.on_click(lambda _: stand_at(cameras[names.index(choice(where))]))
 
 
 class ObjectControls:
@@ -98,7 +100,8 @@ class ObjectControls:
         self._fill()
 
     def _item(self) -> SceneObject:
-        return next(item for item in self._session.view.scene.objects if item.name == self.name.value)
+        name = choice(self.name)
+        return next(item for item in self._session.view.scene.objects if item.name == name)
 
     def _fill(self) -> None:
         """Show the chosen object's values."""
@@ -141,20 +144,21 @@ class ObjectControls:
             self._session.change(scene=replaced(self._session.view.scene, there))
 
     def _moved(self, item: SceneObject) -> SceneObject:
-        return moved(item, translation=self.translation.value, rotation=self.rotation.value, scale=self.scale.value)
+        parts = {"translation": self.translation, "rotation": self.rotation, "scale": self.scale}
+        return moved(item, **{name: vector(handle) for name, handle in parts.items()})
 
     def _remade(self, item: SceneObject) -> SceneObject:
         """Only the value that was changed: pickers hold eight bits, and an object's faces may differ."""
         material = item.material
         changed = {
-            name: from_picker(handle.value)
+            name: from_picker(colour(handle))
             for name, handle in (("diffuse", self.diffuse), ("specular", self.specular))
-            if handle.value != to_picker(getattr(material, name))
+            if colour(handle) != to_picker(getattr(material, name))
         }
-        return remade(item, **changed, roughness=self.roughness.value)
+        return remade(item, **changed, roughness=number(self.roughness))
 
     def _shining(self, item: SceneObject) -> SceneObject:
-        return shining(item, self.power.value, from_picker(self.tint.value))
+        return shining(item, number(self.power), from_picker(colour(self.tint)))
 
     def _reset(self, scene: Scene) -> None:
         self._session.change(scene=scene)
@@ -173,7 +177,7 @@ def add_reference(
 
     def done(reference: Reference) -> None:
         trace.disabled = False
-        session.change(reference=reference, comparison=COMPARISONS.get(comparison.value))
+        session.change(reference=reference, comparison=COMPARISONS.get(choice(comparison)))
 
     def failed(message: str) -> None:
         trace.disabled = False
@@ -193,8 +197,8 @@ def add_reference(
             status.content = f"{took}." if drawn.compared or comparison.value == "off" else f"{took}, of another view."
 
     trace.on_click(begin)
-    comparison.on_update(lambda _: session.change(comparison=COMPARISONS.get(comparison.value)))
-    share.on_update(lambda _: session.change(share=share.value))
+    comparison.on_update(lambda _: session.change(comparison=COMPARISONS.get(choice(comparison))))
+    share.on_update(lambda _: session.change(share=number(share)))
     return told
 
 
@@ -206,7 +210,7 @@ def add_saving(gui: viser.GuiApi, client: viser.ClientHandle, session: Session, 
     def save_picture(_: object) -> None:
         stream = io.BytesIO()
         Image.fromarray(np.asarray(newest().picture)).save(stream, format="png")
-        client.send_file_download(f"{session.view.scene.name}.png", stream.getvalue())
+        client.send_file_download(f"{as_file_name(session.view.scene.name)}.png", stream.getvalue())
 
     def save_scene(_: object) -> None:
         name, content = scene_file(session.view.scene, camera_of(client))
@@ -218,15 +222,16 @@ def add_saving(gui: viser.GuiApi, client: viser.ClientHandle, session: Session, 
 
 def scene_file(scene: Scene | PackedScene, camera: Camera) -> tuple[str, bytes]:
     """Name and bytes of a file that holds the scene, with this camera: an archive of JSON and meshes, or H5."""
+    stem = as_file_name(scene.name)
     with tempfile.TemporaryDirectory() as folder:
         varies = isinstance(scene, PackedScene) or any(item.face_material is not None for item in scene.objects)
         if varies:  # which JSON cannot say
             from rfpp.scene.h5 import save_h5  # late: its library is an extra
 
-            return f"{scene.name}.h5", save_h5(pack(scene).seen_by([camera]), Path(folder) / "scene.h5").read_bytes()
-        Scene(name=scene.name, objects=scene.objects, cameras=(camera,)).save(Path(folder) / f"{scene.name}.json")
+            return f"{stem}.h5", save_h5(pack(scene).seen_by([camera]), Path(folder) / "scene.h5").read_bytes()
+        Scene(name=scene.name, objects=scene.objects, cameras=(camera,)).save(Path(folder) / f"{stem}.json")
         stream = io.BytesIO()
         with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
             for file in sorted(path for path in Path(folder).rglob("*") if path.is_file()):
                 archive.write(file, file.relative_to(folder))
-        return f"{scene.name}.zip", stream.getvalue()
+        return f"{stem}.zip", stream.getvalue()

@@ -16,6 +16,7 @@ from rfpp.inference.renderer import Renderer
 from rfpp.scene.packed import PackedScene
 from rfpp.scene.spec import Camera, Scene
 from rfpp.viewer.controls import ObjectControls, ToneMaps, add_reference, add_saving, add_view
+from rfpp.viewer.guard import guarded
 from rfpp.viewer.reference import PathTracer
 from rfpp.viewer.session import Drawn, Session, View
 from rfpp.viewer.shown import everything
@@ -62,7 +63,7 @@ class Viewer:
         self._turn = threading.Lock()
         self._sessions: dict[int, Session] = {}
         _require_address(host, port)
-        with redirect_stdout(StringIO()):  # it announces itself in a box
+        with guarded(), redirect_stdout(StringIO()):  # it announces itself in a box
             self._server = viser.ViserServer(host=host, port=port, label=f"rfpp: {scene.name}", verbose=False)
         self._server.scene.set_up_direction("+z")
         self._server.on_client_connect(self._welcome)

@@ -1,5 +1,6 @@
 """RenderFormer's H5 scenes: what is read, what is recovered, what is written, what is refused."""
 
+import os
 from dataclasses import replace
 
 import h5py
@@ -96,6 +97,10 @@ def test_patches_of_a_single_cell(tmp_path):
         ({"texture": patches()[:, :10]}, "texture: shape"),
         ({"fov": np.array([np.nan], np.float32)}, "fov: holds NaN"),
         ({"c2w": np.zeros((2, 4, 4), np.float32)}, "fov: shape"),
+        ({"c2w": np.zeros((1, 4, 4), np.float32)}, "c2w: not a camera's pose"),
+        ({"c2w": 1e30 * look_at((1, 0, 0))[None]}, "c2w: not a camera's pose"),
+        ({"fov": np.float32([0])}, "fov: not between 0 and 180 degrees"),
+        ({"fov": np.float32([1e30])}, "fov: not between 0 and 180 degrees"),
     ],
 )
 def test_what_does_not_fit_is_one_line_with_the_file(tmp_path, changes, message):
@@ -263,6 +268,19 @@ def test_nothing_is_read_from_other_files(tmp_path):
             way(file)
         with pytest.raises(SceneError, match=r"linked\.h5: triangles: its content lies in another file"):
             Scene.load(path)
+
+
+@pytest.mark.timeout(20)
+def test_nothing_waits_for_a_pipe(tmp_path):
+    pipe, path = tmp_path / "pipe.h5", write(tmp_path / "linked.h5")
+    os.mkfifo(pipe)
+    with h5py.File(path, "a") as file:
+        del file["triangles"]
+        file["triangles"] = h5py.ExternalLink(str(pipe), "triangles")
+    with pytest.raises(SceneError, match=r"linked\.h5: triangles: its content lies in another file"):
+        Scene.load(path)
+    with pytest.raises(SceneError, match=r"pipe\.h5: is not a regular file"):
+        Scene.load(pipe)
 
 
 def test_words_are_no_numbers(tmp_path):

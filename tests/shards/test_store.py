@@ -1,9 +1,12 @@
 """Data sets behind a URL: fetched once, kept within bounds, and every way it can fail says so."""
 
+import hashlib
 import http.server
+import json
 import multiprocessing
 import os
 import shutil
+import tarfile
 import threading
 from functools import partial
 from pathlib import Path
@@ -15,8 +18,9 @@ import pytest
 from rfpp.errors import MissingDependencyError, ShardError, UserError
 from rfpp.shards import store
 from rfpp.shards.cache import ShardCache
-from rfpp.shards.manifest import Manifest
+from rfpp.shards.manifest import MANIFEST_FILE, Manifest
 from rfpp.shards.stream import ShardSplit
+from rfpp.shards.tar import unpack
 
 
 class Handler(http.server.SimpleHTTPRequestHandler):
@@ -186,3 +190,49 @@ def test_a_cache_that_cannot_be_written_is_named(server, tmp_path):
     (tmp_path / "file").touch()
     with pytest.raises(UserError, match=r"file/cache: cannot be written \(Not a directory\)"):
         ShardSplit(server.url, "train", ShardCache(tmp_path / "file" / "cache", 1))[0]
+
+
+def listed(folder: Path, change) -> None:
+    """The manifest of a data set in `folder` with its first training shard changed."""
+    content = json.loads((folder / MANIFEST_FILE).read_bytes())
+    change(content["splits"]["train"][0])
+    (folder / MANIFEST_FILE).write_text(json.dumps(content))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"file": "x/../../../victim.txt"}, {"file": "/tmp/victim.tar"}, {"file": "..tar"}, {"file": "victim.txt"},
+        {"sha256": "/absolute/path"}, {"index_sha256": "../" * 30}, {"bytes": -1}, {"bytes": 1e300}, {"samples": True},
+    ],
+    ids=str,
+)  # fmt: skip
+def test_a_manifest_names_nothing_outside_of_its_folder(finished, tmp_path, change):
+    root = Path(shutil.copytree(finished.root, tmp_path / "data"))
+    victim = tmp_path / "victim.txt"
+    victim.write_text("mine")
+    listed(root, lambda shard: shard.update(change))
+    with pytest.raises(ShardError, match=r"manifest\.json: not a data set manifest"):
+        ShardSplit(root, "train")
+    assert victim.read_text() == "mine"
+
+
+@pytest.mark.parametrize("key", ["/tmp/victim", "../victim", "", "a/b"])
+def test_an_index_names_nothing_outside_either_even_if_its_hash_agrees(finished, tmp_path, key):
+    root = Path(shutil.copytree(finished.root, tmp_path / "data"))
+    file = root / "train-00000.json"
+    index = json.loads(file.read_bytes())
+    index["samples"][0][0] = key
+    file.write_text(json.dumps(index))
+    digest = hashlib.sha256(file.read_bytes()).hexdigest()
+    listed(root, lambda shard: shard.update(index_sha256=digest, index_bytes=file.stat().st_size))
+    with pytest.raises(ShardError, match=r"train-00000\.json: not the index of a shard"):
+        ShardSplit(root, "train")[0]
+
+
+def test_members_are_files():
+    """A link or a folder in a tar is damage like any other."""
+    entry = tarfile.TarInfo("train-000001.meta.json")
+    entry.type, entry.linkname = tarfile.SYMTYPE, "/etc/passwd"
+    with pytest.raises(tarfile.TarError, match="not a plain file"):
+        unpack(entry.tobuf(tarfile.USTAR_FORMAT))
