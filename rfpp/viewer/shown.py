@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from rfpp.gbuffer.first_hit import CHANNELS, COLOUR_CHANNELS
+from rfpp.gbuffer.first_hit import CELL_CHANNELS, CHANNELS, COLOUR_CHANNELS
 from rfpp.inference.gbuffers import GBufferSource
 from rfpp.inference.renderer import Renderer
-from rfpp.panels import false_colours
+from rfpp.panels import distinct_colours, false_colours
 from rfpp.scene.packed import PackedScene
 from rfpp.tone_maps import ToneMap
 
@@ -56,10 +56,12 @@ class Channel(Shown):
 
 
 def channel_picture(values: Float[np.ndarray, "c h w"], name: str, tone_map: ToneMap) -> Picture:
-    """Colours, directions and places as colours, numbers in false colours; depth relative to the farthest."""
+    """Colours, directions, places and cells as colours, numbers in false colours; depth relative to the farthest."""
     pixels = np.moveaxis(values, 0, -1)
     if name in COLOUR_CHANNELS:
         return tone_map(pixels)
+    if name in CELL_CHANNELS:
+        return distinct_colours(pixels[..., 0].astype(int))  # of several rays the first
     if CHANNELS[name] == 1:
         return false_colours(pixels[..., 0] / max(pixels.max(), 1e-9) if name == "depth" else pixels[..., 0])
     hit = (pixels != 0).any(axis=-1, keepdims=True)

@@ -106,7 +106,7 @@ def test_a_reference_is_compared_only_where_it_shows_this_view(renderer):
 
 
 @pytest.mark.parametrize(
-    "name", ["light after 0 transports", "normal", "depth", "albedo", "direct diffuse", "position"]
+    "name", ["light after 0 transports", "normal", "depth", "albedo", "direct diffuse", "position", "diffuse cells"]
 )
 def test_everything_that_can_be_shown_is_a_picture(renderer, name):
     view = view_of(renderer)
