@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 import lightning as L
@@ -14,6 +13,7 @@ from torch.utils.data import DataLoader
 from rfpp.batch import RaggedBatch
 from rfpp.errors import ShardError, UserError
 from rfpp.shards.cache import ShardCache
+from rfpp.shards.joined import JoinedManifest, JoinedSplit, Root, open_manifest, open_split
 from rfpp.shards.manifest import Manifest
 from rfpp.shards.order import ShuffledOrder, leading
 from rfpp.shards.stream import ShardSplit
@@ -28,7 +28,7 @@ class SceneDataModule(L.LightningDataModule):
     Its state is the position in the data's order: what goes on from a checkpoint reads nothing that was trained on.
 
     Args:
-        root: folder or URL of the data set.
+        root: folder or URL of the data set, or of several that are trained on together; one named twice counts twice.
         cache: where a remote data set is fetched to.
         gbuffer_channels: what the network reads, in order.
         scenes_per_step: scenes in a global batch, over all devices.
@@ -48,7 +48,7 @@ class SceneDataModule(L.LightningDataModule):
 
     def __init__(
         self,
-        root: str | Path,
+        root: Root | Sequence[Root],
         cache: ShardCache,
         gbuffer_channels: Sequence[str],
         scenes_per_step: int,
@@ -75,9 +75,9 @@ class SceneDataModule(L.LightningDataModule):
         self._steps_before = 0
 
     @cached_property
-    def manifest(self) -> Manifest:
-        """Raises ShardError when there is no data set at `root`."""
-        return Manifest.load(self.root, self.cache)
+    def manifest(self) -> Manifest | JoinedManifest:
+        """Raises ShardError when there is no data set at `root`, or several do not fit together."""
+        return open_manifest(self.root, self.cache)
 
     def accumulation(self, devices: int) -> int:
         """How many batches each of so many devices takes for one step, as few as it can hold.
@@ -104,7 +104,7 @@ class SceneDataModule(L.LightningDataModule):
         return self.scenes_per_step // (self.trainer.world_size * self.trainer.accumulate_grad_batches)
 
     def train_dataloader(self) -> DataLoader:
-        split = ShardSplit(self.root, "train", self.cache, require_all=not self.skip_corrupt)
+        split = open_split(self.root, "train", self.cache, require_all=not self.skip_corrupt)
         if len(split) == 0:
             raise ShardError(f"{self.root}: the train split is empty: generate data with data.splits.train above 0")
         trainer = self.trainer
@@ -127,7 +127,7 @@ class SceneDataModule(L.LightningDataModule):
         return self._loader(views, RaggedBatch.pack, batch_sampler=batches)
 
     def val_dataloader(self) -> DataLoader:
-        scenes = AllViews(ShardSplit(self.root, "validation", self.cache), self.channels)
+        scenes = AllViews(open_split(self.root, "validation", self.cache), self.channels)
         trainer = self.trainer
         mine = range(trainer.global_rank, min(self.validation_scenes, len(scenes)), trainer.world_size)
         return self._loader(scenes, RaggedBatch.pack, batch_size=1, sampler=mine)
@@ -157,7 +157,7 @@ class SceneDataModule(L.LightningDataModule):
             "data manifest": self.manifest.hash,
         }
 
-    def _triangles(self, split: ShardSplit, scene: int) -> int:
+    def _triangles(self, split: ShardSplit | JoinedSplit, scene: int) -> int:
         """Of a scene; of none where its index cannot be read, as its reader leaves it out of its batch."""
         try:
             return split.triangles(scene)

@@ -13,6 +13,7 @@ from torch.utils.data import Dataset, Sampler
 from rfpp.batch import SceneViews
 from rfpp.gbuffer.first_hit import CHANNELS, COLOUR_CHANNELS, stack_channels
 from rfpp.scene.triangles import DIFFUSE, EMISSION, SPECULAR, SceneTriangles
+from rfpp.shards.joined import JoinedSplit
 from rfpp.shards.order import ShuffledOrder
 from rfpp.shards.sample import SceneSample, ViewChoice
 from rfpp.shards.stream import ShardSplit
@@ -35,7 +36,9 @@ def select_views(sample: SceneSample, views: Sequence[int], channels: Sequence[s
     )
 
 
-def read_views(split: ShardSplit, index: int, channels: Sequence[str], choose: ViewChoice | None = None) -> SceneViews:
+def read_views(
+    split: ShardSplit | JoinedSplit, index: int, channels: Sequence[str], choose: ViewChoice | None = None
+) -> SceneViews:
     """`select_views` of the scene at `index`; only what these views and channels need is decoded."""
     sample = split.read(index, choose, channels)
     return select_views(sample, range(len(sample.fov)), channels)
@@ -113,7 +116,7 @@ class TrainingViews(Dataset):
 
     def __init__(
         self,
-        split: ShardSplit,
+        split: ShardSplit | JoinedSplit,
         channels: Sequence[str],
         views_per_scene: int,
         rigid: RigidAugmentation | None,
@@ -139,7 +142,7 @@ class TrainingViews(Dataset):
 class AllViews(Dataset):
     """Every view of each scene, as stored: for validation and evaluation."""
 
-    def __init__(self, split: ShardSplit, channels: Sequence[str]):
+    def __init__(self, split: ShardSplit | JoinedSplit, channels: Sequence[str]):
         self.split, self.channels = split, tuple(channels)
 
     def __len__(self) -> int:
