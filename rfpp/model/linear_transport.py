@@ -9,7 +9,7 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from rfpp.model.block import RMSNorm, SwiGLU
+from rfpp.model.block import NORM_EPS, RMSNorm, SwiGLU
 from rfpp.model.form_factors import CastFormFactors, UnoccludedFormFactors, divergence
 from rfpp.model.irradiance import CastIrradiance, CoupledIrradiance
 from rfpp.model.lit_cells import LitCells
@@ -72,7 +72,7 @@ class LinearTransport(nn.Module):
     def _each(
         self, tokens: SceneTokens, count: int
     ) -> tuple[list[SceneTokens], tuple[Float[Tensor, "c 3"], ...], Float[Tensor, "b longest longest"]]:
-        tokens, cells = self.encoder(tokens).tokens, tokens.cells
+        tokens, cells = told_apart(self.encoder(told_apart(tokens)).tokens), tokens.cells
         features = self.cell_features(tokens, cells)
         with in_float32(features):
             couplings, reflectance = self._operator(features.float(), cells)
@@ -117,17 +117,34 @@ def light_after(
     return tuple(states)
 
 
+def told_apart(tokens: SceneTokens) -> SceneTokens:
+    """Features without their mean over the scene, and with root mean square 1 there.
+
+    What all tokens share says nothing of any. Training lets it grow all the same, until next to it what tells tokens
+    apart is lost (1% of their length after 1,000 steps, and nothing was read any more).
+    """
+    x, segments = tokens.features.float(), tokens.segments
+    sums = x.new_zeros(len(segments), x.shape[1]).index_add(0, segments.index, x)
+    x = x - (sums / segments.sizes[:, None])[segments.index]
+    power = x.new_zeros(len(segments)).index_add(0, segments.index, x.square().mean(-1)) / segments.sizes
+    return replace(tokens, features=x * (power + NORM_EPS).rsqrt()[segments.index, None])
+
+
 class CellFeatures(nn.Module):
-    """What a cell's token says of the cell: the token, and where in its object the cell lies and faces."""
+    """What is known of a cell: its token, where in its object it lies and faces, and what it is made of."""
+
+    #: Distances within objects are in these units, world units.
+    REACH = 0.2
 
     def __init__(self, width: int, hidden: int):
         super().__init__()
-        self.place = nn.Linear(7, width)
+        self.place = nn.Linear(14, width)
         self.norm, self.feed_forward, self.out_norm = RMSNorm(width), SwiGLU(width, hidden), RMSNorm(width)
 
     def forward(self, tokens: SceneTokens, cells: PackedCells) -> Float[Tensor, "c width"]:
         size = cells.area.clamp_min(1e-8).sqrt().log()[:, None]
         within = cells.centre - tokens.points[cells.octant, 3:6]  # from the object's centroid
-        place = self.place(torch.cat([within, cells.normal, size], dim=-1))
+        material = [cells.diffuse, cells.specular, cells.roughness[:, None]]
+        place = self.place(torch.cat([within / self.REACH, cells.normal, size, *material], dim=-1))
         x = tokens.features[cells.octant] + place
         return self.out_norm(x + self.feed_forward(self.norm(x)))
