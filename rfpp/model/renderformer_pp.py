@@ -9,10 +9,9 @@ from torch import Tensor, nn
 
 from rfpp.batch import RaggedBatch
 from rfpp.model.exposure import ArrivingLight, UnitExposure
-from rfpp.model.linear_transport import LinearTransport
 from rfpp.model.source import CellLight, EmittedLight, FirstBounce
 from rfpp.model.tokenizer import ObjectTokens, SceneTokens, TriangleTokens
-from rfpp.model.transport import Bounces, EncodedTransport, PhysicsInformedTransport, UnconstrainedTransport
+from rfpp.model.transport import Bounces, Transport
 from rfpp.model.triangle_embedding import TexturePatchEmbedding, TriangleEmbedding
 from rfpp.model.view_decoder import ViewDecoder
 from rfpp.radiance import log_encode
@@ -64,7 +63,7 @@ class RenderFormerPP(nn.Module):
         self,
         embedding: TriangleEmbedding | TexturePatchEmbedding,
         tokenizer: ObjectTokens | TriangleTokens,
-        transport: PhysicsInformedTransport | UnconstrainedTransport | EncodedTransport | LinearTransport,
+        transport: Transport,
         decoder: ViewDecoder,
         exposure: UnitExposure | ArrivingLight,
         source: EmittedLight | FirstBounce | CellLight,

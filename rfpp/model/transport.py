@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import torch
 import torch.nn.functional as F
@@ -40,6 +40,21 @@ class Bounces(NamedTuple):
 
     emitted: Float[Tensor, "n width"]
     scattered: tuple[Float[Tensor, "n width"], ...]
+
+
+@runtime_checkable
+class Transport(Protocol):
+    """From scene tokens to scene tokens that know of global illumination.
+
+    Those with an operator also have `each`, see `PhysicsInformedTransport`.
+
+    Attributes:
+        iterations: how often the operator is applied; 0 where there is none.
+    """
+
+    iterations: int
+
+    def __call__(self, tokens: SceneTokens) -> Transported: ...
 
 
 class UnconstrainedTransport(nn.Module):
