@@ -71,7 +71,7 @@ def test_a_red_wall_reddens_what_is_near_it(renderer):
     left = np.arange(64) < 32
     further = renderer.render(view_of("cornell_box"), 64)[0] - given["albedo"] * given["direct_diffuse"]
     near, far = (further[grey & side].mean(0) for side in (left, ~left))
-    assert near[0] / near[1] > 1.5 > 1.3 > far[0] / far[1]  # red / green; Cycles has 2.3 and 1.0
+    assert 2.9 > near[0] / near[1] > 1.9 and 1.15 > far[0] / far[1] > 0.9  # red / green; Cycles has 2.3 and 1.0
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -80,7 +80,7 @@ def test_it_adds_to_the_light_that_it_is_given(renderer, name):
     glossy = given["direct_glossy"] + given["reflected_light"]
     alone = given["albedo"] * given["direct_diffuse"] + given["specular"] * glossy
     [image] = renderer.render(view_of(name), 64)
-    assert difference(image, reference) < 0.5 * difference(alone, reference)
+    assert difference(image, reference) < 0.3 * difference(alone, reference)
 
 
 @pytest.mark.parametrize("name", NAMES)
