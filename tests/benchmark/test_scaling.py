@@ -10,7 +10,8 @@ from rfpp.entry import CONFIG_DIR
 
 def test_the_model_is_checked_here_and_asked_about_clusters(tmp_path):
     training = [
-        "+experiment=quickstart", *SMALLEST, "data.resolution=16", "loss.lpips_weight=0", "datamodule.scenes_per_step=2"
+        "+experiment=quickstart", "model=known_light", *SMALLEST, "data.resolution=16", "loss.lpips_weight=0",
+        "datamodule.scenes_per_step=2",
     ]  # fmt: skip
     overrides = ",".join(f"'{override}'" for override in training)
     with initialize_config_dir(str(CONFIG_DIR), version_base="1.3"):
