@@ -13,6 +13,7 @@ import numpy as np
 
 from rfpp.errors import SceneError, UserError
 from rfpp.reference.cycles import CyclesSettings
+from rfpp.scene.files import is_plain_name
 from rfpp.scene.packed import poses
 from rfpp.scene.spec import Camera, Scene
 from rfpp.scene.triangles import SceneTriangles
@@ -65,6 +66,8 @@ class DatasetSettings:
     acceptance: Acceptance
 
     def __post_init__(self) -> None:
+        if not is_plain_name(self.name):
+            raise UserError(f"data.name is '{self.name}': use letters, digits, dots, dashes and underscores")
         for name in ("resolution", "views", "light_samples", "scenes_per_shard"):
             if getattr(self, name) < 1:
                 raise UserError(f"data.{name} is {getattr(self, name)}: use 1 or more")

@@ -240,6 +240,7 @@ def test_missing_blender_ends_the_run_at_once(tmp_path):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
+        ({"name": "../mine"}, r"data\.name is '\.\./mine': use letters"),
         ({"views": 0}, r"data\.views is 0"),
         ({"seed": -1}, r"data\.seed is -1"),
         ({"splits": {"train": 2, "holdout": 1}}, r"data\.splits\.holdout.*choose from train"),
