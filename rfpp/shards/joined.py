@@ -77,7 +77,9 @@ class JoinedManifest:
 
     @classmethod
     def of(cls, manifests: Sequence[Manifest]) -> JoinedManifest:
-        """Raises ShardError where images are not all of one size."""
+        """Raises ShardError where there is no data set, or images are not all of one size."""
+        if not manifests:
+            raise ShardError("datamodule.root names no data set: give a folder, or several")
         sizes = {str(m.root): m.settings["data"]["resolution"] for m in manifests}
         if len(set(sizes.values())) > 1:
             found = ", ".join(f"{root}: {size}²" for root, size in sizes.items())

@@ -42,3 +42,5 @@ def test_images_of_different_sizes_are_refused(roots, tmp_path):
     large = make(tmp_path / "large", splits={"train": 1, "validation": 1}, resolution=32).root
     with pytest.raises(ShardError, match=r"images differ in size \(.*: 32²\)"):
         open_manifest([roots[0], large])
+    with pytest.raises(ShardError, match=r"datamodule\.root names no data set"):
+        open_manifest([])
