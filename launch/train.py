@@ -14,6 +14,7 @@ if __name__ == "__main__":
 
 import logging
 import warnings
+from contextlib import nullcontext
 from pathlib import Path
 
 import lightning as L
@@ -38,6 +39,7 @@ from rfpp.training.run import (
     start_summary,
     trainer_plugins,
 )
+from rfpp.training.run_lock import only_writer_of
 from rfpp.training.stopping import StoppedError, end_early
 from rfpp.training.summary import end_summary
 from rfpp.training.tracking import code_version
@@ -97,13 +99,14 @@ def main(cfg: DictConfig) -> Path | None:
         console.print(start_summary(cfg, network, datamodule, trainer), soft_wrap=True)
         if resumed:
             console.print(f"Goes on from {resumed}")
-    if tracked and trainer.is_global_zero:
-        config_file = write_config(cfg, run_dir)
-        point_at(run_dir, run_dir.with_name("latest"))
-        tags = {"code_version": info.commit or "unknown", "data_manifest": info.data_manifest, "run_dir": str(run_dir)}
-        logger.describe(config, config_file, datamodule.manifest, tags)
+    writer = only_writer_of(run_dir) if tracked and trainer.is_global_zero else nullcontext()
     try:
-        with same_folder_in_children(run_dir):
+        with writer, same_folder_in_children(run_dir):
+            if tracked and trainer.is_global_zero:
+                config_file = write_config(cfg, run_dir)
+                point_at(run_dir, run_dir.with_name("latest"))
+                tags = {"code_version": info.commit or "unknown", "data_manifest": info.data_manifest}
+                logger.describe(config, config_file, datamodule.manifest, tags | {"run_dir": str(run_dir)})
             trainer.fit(module, datamodule, ckpt_path=resumed, weights_only=True)
     except (StoppedError, NonFiniteGradientError) as stop:
         if not trainer.is_global_zero:

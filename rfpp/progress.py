@@ -8,6 +8,8 @@ from contextlib import contextmanager
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, Task, TextColumn, TimeRemainingColumn
 
+from rfpp.progress_lines import ProgressLines
+
 
 class Count:
     """What a bar has seen: `done` things of `total`, `before` of which were there already."""
@@ -25,6 +27,8 @@ class Count:
 def counting(console: Console, things: str, each: int = 1) -> Iterator[tuple[Callable[[int, int], None], Count]]:
     """A bar and its count: call the function yielded with (done, total); it is shown if anything is missing.
 
+    Where no bar can be shown, a line a minute.
+
     Args:
         things: what is counted, in the plural.
         each: how many things one step of the work is.
@@ -32,6 +36,7 @@ def counting(console: Console, things: str, each: int = 1) -> Iterator[tuple[Cal
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), _PerSecond())
     with Progress(*columns, TimeRemainingColumn(), console=console) as progress:
         count, bars = Count(), []
+        lines = None if console.is_terminal else ProgressLines(things, console.print)
 
         def show(done: int, total: int) -> None:
             count.done, count.total = done, total
@@ -40,6 +45,8 @@ def counting(console: Console, things: str, each: int = 1) -> Iterator[tuple[Cal
                 fields = {"total": total * each, "before": done * each, "visible": done < total}
                 bars.append(progress.add_task(things, **fields))
             progress.update(bars[0], completed=done * each)
+            if lines:
+                lines(done * each, total * each)
 
         yield show, count
 

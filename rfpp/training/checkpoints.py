@@ -14,7 +14,7 @@ import torch
 from lightning.pytorch.plugins.io import TorchCheckpointIO
 
 from rfpp.errors import CheckpointError
-from rfpp.inference.checkpoint import CHECKPOINT_KEY
+from rfpp.inference.checkpoint import CHECKPOINT_KEY, stored
 from rfpp.scene.files import write_atomically
 
 #: `checkpoint=auto` goes on from the newest sound checkpoint of the run's folder, if there is one.
@@ -104,10 +104,8 @@ def find_defect(path: Path) -> str | None:
 
 
 def _check_same_network(path: Path, model: dict[str, Any]) -> None:
-    about = torch.load(path, map_location="cpu", weights_only=True, mmap=True).get(CHECKPOINT_KEY)
-    if about is None:
-        raise CheckpointError(f"{path}: not a checkpoint of this project: choose one written by launch/train.py")
-    if about["model"] != model:
+    about = stored(path, mmap=True)[CHECKPOINT_KEY]
+    if not isinstance(about, dict) or about.get("model") != model:
         raise CheckpointError(
             f"{path}: of another network than this command's `model`: give its settings, or start in another run_dir"
         )

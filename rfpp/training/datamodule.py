@@ -19,6 +19,7 @@ from rfpp.shards.order import ShuffledOrder, leading
 from rfpp.shards.stream import ShardSplit
 from rfpp.training.dealing import Dealing
 from rfpp.training.loader import SceneLoader, SkippingCorrupt, pack_readable
+from rfpp.training.parentage import end_with_parent
 from rfpp.training.views import AllViews, ColourPermutation, GlobalBatches, RigidAugmentation, TrainingViews
 
 
@@ -175,6 +176,7 @@ class SceneDataModule(L.LightningDataModule):
             generator=torch.Generator().manual_seed(self.seed),
             persistent_workers=self.workers > 0,
             multiprocessing_context="spawn" if self.workers else None,
+            worker_init_fn=end_with_parent,
             pin_memory=self.trainer.strategy.root_device.type == "cuda",
             **how,
         )

@@ -1,0 +1,35 @@
+"""One process writes a run: two at once would log every step twice and overwrite each other's checkpoints."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from filelock import FileLock, Timeout
+
+from rfpp.errors import UserError
+
+
+@contextmanager
+def only_writer_of(run_dir: Path) -> Iterator[None]:
+    """Hold a run's folder. A process that ends in any way lets go of it.
+
+    Raises:
+        UserError: another process holds it.
+    """
+    run_dir.mkdir(parents=True, exist_ok=True)
+    lock = FileLock(run_dir / ".lock", timeout=0)
+    try:
+        lock.acquire()
+    except Timeout as error:
+        raise UserError(
+            f"{run_dir}: another process is training this run: wait until it has ended, or choose another run_dir"
+        ) from error
+    except NotImplementedError:  # a file system without locks
+        yield
+        return
+    try:
+        yield
+    finally:
+        lock.release()
