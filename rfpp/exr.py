@@ -52,6 +52,11 @@ def exr_attributes(data: bytes, source: str = "EXR data") -> dict[str, str]:
         return {name: value for name, value in file.header().items() if isinstance(value, str)}
 
 
+def compact(radiance: np.ndarray) -> np.ndarray:
+    """Half floats where they hold it, else float32."""
+    return np.ascontiguousarray(radiance, np.float16 if np.abs(radiance).max(initial=0) <= HALF_MAX else np.float32)
+
+
 def write_exr(path: Path, layers: Mapping[str, np.ndarray], attributes: Mapping[str, str] | None = None) -> Path:
     """Write an OpenEXR file atomically, creating its folder; returns the path. Raises UserError (full disk)."""
     return write_atomically(Path(path), encode_exr(layers, attributes))

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from rfpp.errors import UserError
-from rfpp.exr import ImageFileError, decode_exr, encode_exr, exr_attributes, read_exr, write_exr
+from rfpp.exr import HALF_MAX, ImageFileError, compact, decode_exr, encode_exr, exr_attributes, read_exr, write_exr
 
 
 @pytest.fixture
@@ -91,3 +91,9 @@ def test_a_full_disk_names_the_path_and_keeps_the_old_file(layers, tmp_path, mon
         write_exr(path, {"RGB": layers["RGB"] * 2})
     np.testing.assert_array_equal(read_exr(path)["RGB"], layers["RGB"])
     assert [p.name for p in tmp_path.iterdir()] == ["view.exr"]
+
+
+def test_what_half_floats_do_not_hold_is_kept_in_single_precision():
+    usual, bright = np.full((2, 2, 3), 3.0, np.float32), np.full((2, 2, 3), 2 * HALF_MAX, np.float32)
+    assert compact(usual).dtype == np.float16
+    np.testing.assert_array_equal(compact(bright), bright)

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-import importlib
 import pickle
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import torch
+from pydantic import ConfigDict, TypeAdapter, ValidationError
 from torch import nn
 
 from rfpp.errors import CheckpointError
+from rfpp.inference.building import build_network, require_fitting
 from rfpp.inference.model_folder import CONFIG_FILE, folder_of, names_folder, read_folder
 from rfpp.inference.released_weights import released, with_folded_texture
 from rfpp.model.triangle_embedding import TriangleEmbedding
@@ -19,10 +20,9 @@ from rfpp.model.triangle_embedding import TriangleEmbedding
 #: Where a Lightning checkpoint keeps a `CheckpointInfo`.
 CHECKPOINT_KEY = "rfpp"
 SCHEMA_VERSION = 2
-#: A checkpoint may only name parts from here; anything else in a config is refused, not imported.
-ALLOWED_PREFIX = "rfpp.model."
 #: The network's place in a Lightning state dict.
 NETWORK_PREFIX = "network."
+_LARGEST_SIDE = 1 << 14
 #: What is known of the released RenderFormer; 512 pixels are its pipeline's default.
 RELEASED = {
     "resolution": (512, 512),
@@ -51,6 +51,8 @@ class CheckpointInfo:
         schema_version: of this record.
     """
 
+    __pydantic_config__ = ConfigDict(extra="forbid")
+
     model: dict[str, Any]
     resolution: tuple[int, int]
     data_manifest: str
@@ -78,8 +80,8 @@ def load_network(path: Path | str) -> tuple[nn.Module, CheckpointInfo]:
         CheckpointError: it is missing, unreadable, of an unknown kind, or its weights are not of the network it names.
     """
     info, weights = _read(path)
-    network = build(info.model, str(path))
-    _load_weights(network, weights, path)
+    network = build_network(info.model, weights, str(path))
+    network.load_state_dict(weights)
     return network.eval(), info
 
 
@@ -94,7 +96,8 @@ def load_initial_weights(network: nn.Module, path: Path | str) -> None:
     _, weights = _read(path)
     if isinstance(network.embedding, TriangleEmbedding) and "embedding.texture_proj.weight" in weights:
         weights = with_folded_texture(weights)
-    _load_weights(network, weights, path)
+    require_fitting(network, weights, str(path))
+    network.load_state_dict(weights)
 
 
 def _read(checkpoint: Path | str) -> tuple[CheckpointInfo, dict[str, torch.Tensor]]:
@@ -118,16 +121,33 @@ def _read_file(path: Path) -> tuple[CheckpointInfo, dict[str, torch.Tensor]]:
         )
     if not path.is_file():
         raise CheckpointError(f"{path}: no such checkpoint: train one with launch/train.py, or correct the path")
+    content = stored(path)
+    state = content.get("state_dict")
+    if not isinstance(state, dict) or not all(isinstance(x, torch.Tensor) for x in state.values()):
+        raise CheckpointError(f"{path}: holds no weights: give a checkpoint written by launch/train.py")
+    weights = {k.removeprefix(NETWORK_PREFIX): v for k, v in state.items() if str(k).startswith(NETWORK_PREFIX)}
+    return _info(content[CHECKPOINT_KEY], path), weights
+
+
+def stored(path: Path, **how: Any) -> dict[str, Any]:
+    """What a checkpoint that Lightning wrote holds; no code in it is run.
+
+    Args:
+        how: further arguments of torch.load.
+
+    Raises:
+        CheckpointError: it cannot be read, holds more than tensors and plain values, or is not of this project.
+    """
     try:
-        content = torch.load(path, map_location="cpu", weights_only=True)
-    except (pickle.UnpicklingError, RuntimeError, EOFError, OSError, ValueError, KeyError) as error:
-        reason = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
-        raise CheckpointError(f"{path}: cannot be read as a checkpoint ({reason[:160]}): copy it again") from None
+        content = torch.load(path, map_location="cpu", weights_only=True, **how)
+    except Exception as error:  # a stranger's file: pickle, zip and tensors fail in many ways
+        reason = (str(error).strip() or type(error).__name__).splitlines()[0][:160]
+        if isinstance(error, pickle.UnpicklingError) and "GLOBAL" in str(error):
+            raise CheckpointError(f"{path}: names code, not only tensors and plain values: refused") from None
+        raise CheckpointError(f"{path}: cannot be read as a checkpoint ({reason}): copy it again") from None
     if not isinstance(content, dict) or CHECKPOINT_KEY not in content:
         raise CheckpointError(f"{path}: not a checkpoint of this project: give one written by launch/train.py")
-    state = content.get("state_dict", {})
-    weights = {k.removeprefix(NETWORK_PREFIX): v for k, v in state.items() if k.startswith(NETWORK_PREFIX)}
-    return _info(content[CHECKPOINT_KEY], path), weights
+    return content
 
 
 def _info(about: Any, path: Path) -> CheckpointInfo:
@@ -138,40 +158,13 @@ def _info(about: Any, path: Path) -> CheckpointInfo:
             "use the version of rfpp that made it"
         )
     try:
-        return CheckpointInfo(**{**about, "resolution": tuple(about["resolution"])})  # JSON has lists only
-    except (TypeError, KeyError) as error:
-        raise CheckpointError(f"{path}: its description does not fit ({error}): use the version that made it") from None
-
-
-def build(config: Any, where: str) -> Any:
-    """Instantiate a nested `_target_` config whose targets all lie in rfpp.model. Raises CheckpointError."""
-    if isinstance(config, list | tuple):
-        return [build(item, where) for item in config]
-    if not isinstance(config, dict):
-        return config
-    arguments = {key: build(value, where) for key, value in config.items() if key != "_target_"}
-    if "_target_" not in config:
-        return arguments
-    target = config["_target_"]
-    if not isinstance(target, str) or not target.startswith(ALLOWED_PREFIX):
-        raise CheckpointError(f"{where}: names {target!r}, which is not a part of {ALLOWED_PREFIX[:-1]}: refused")
-    module_name, _, class_name = target.rpartition(".")
-    try:
-        part = getattr(importlib.import_module(module_name), class_name)
-        if not (isinstance(part, type) and part.__module__ == module_name):
-            raise AttributeError(f"{target} is not a class defined there")
-        return part(**arguments)
-    except (ImportError, AttributeError, TypeError, ValueError) as error:
-        raise CheckpointError(f"{where}: cannot build {target} ({error}): use the version that made it") from None
-
-
-def _load_weights(network: nn.Module, weights: dict[str, torch.Tensor], path: Path | str) -> None:
-    expected = network.state_dict()
-    missing, extra = sorted(expected.keys() - weights.keys()), sorted(weights.keys() - expected.keys())
-    wrong = [k for k in expected.keys() & weights.keys() if expected[k].shape != weights[k].shape]
-    for problem, names in (("lacks", missing), ("has the unknown tensor", extra), ("has another shape for", wrong)):
-        if names:
-            raise CheckpointError(
-                f"{path}: {problem} {sorted(names)[0]} (and {len(names) - 1} more): it belongs to another model"
-            )
-    network.load_state_dict(weights)
+        info = TypeAdapter(CheckpointInfo).validate_python(about)  # JSON has lists only, which become tuples
+    except ValidationError as error:
+        first = error.errors()[0]
+        what = ".".join(map(str, first["loc"]))
+        raise CheckpointError(
+            f"{path}: its description does not fit ({what}: {first['msg']}): use the version that made it"
+        ) from None
+    if not all(0 < side <= _LARGEST_SIDE for side in info.resolution):
+        raise CheckpointError(f"{path}: was trained at {info.resolution} pixels, it says: use the version that made it")
+    return info

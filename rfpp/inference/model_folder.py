@@ -43,6 +43,9 @@ def folder_of(checkpoint: Path | str) -> Path:
 def read_folder(folder: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
     """Configuration and weights. Raises CheckpointError naming the file that is missing or damaged."""
     config, weights = folder / CONFIG_FILE, folder / WEIGHTS_FILE
+    for file in (config, weights):
+        if file.exists() and not file.is_file():
+            raise CheckpointError(f"{file}: is not a plain file: copy it again")
     try:
         content = json.loads(config.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError) as error:

@@ -1,13 +1,15 @@
 """Checkpoints: what is read back, and everything that is refused in one line."""
 
 import os
+from copy import deepcopy
 
 import pytest
 import torch
 from networks import checkpoint_info, model_config, network
 
 from rfpp.errors import CheckpointError
-from rfpp.inference.checkpoint import CHECKPOINT_KEY, NETWORK_PREFIX, build, load_network
+from rfpp.inference.building import build
+from rfpp.inference.checkpoint import CHECKPOINT_KEY, NETWORK_PREFIX, load_network
 
 
 def save(path, net=None, model=None, **changes):
@@ -77,7 +79,7 @@ class Evil:
 def test_loading_executes_nothing(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     torch.save({CHECKPOINT_KEY: Evil(), "state_dict": {}}, "evil.ckpt")
-    assert "cannot be read" in refusal(tmp_path / "evil.ckpt")
+    assert "names code" in refusal(tmp_path / "evil.ckpt")
     assert not (tmp_path / "pwned").exists()
 
 
@@ -91,3 +93,55 @@ def test_a_config_may_only_name_parts_of_the_model(target):
 def test_a_config_may_not_reach_through_a_module(target):
     with pytest.raises(CheckpointError, match="cannot build"):
         build({"_target_": target}, "evil.ckpt")
+
+
+def changed(path: tuple, value) -> dict:
+    """The configuration of the tests' network with one value changed."""
+    config = deepcopy(model_config())
+    part = config
+    for name in path[:-1]:
+        part = part[name]
+    part[path[-1]] = value
+    return config
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "message"),
+    [
+        (("decoder", "layers"), 5000, "layers=5000 is more than 1024"),
+        (("transport", "iterations"), 10**9, "holds a number"),
+        (("decoder", "width"), 10**400, "holds a number"),
+        (("decoder", "width"), float("nan"), "holds a number"),
+        (("decoder", "width"), 1 << 20, "it belongs to another model"),
+        (("decoder", "heads"), 0, "cannot build rfpp.model.view_decoder.ViewDecoder"),
+        (("decoder", "width"), "wide", "cannot build"),
+        (("_target_",), "rfpp.model.dpt.DPTHead", "cannot build rfpp.model.dpt.DPTHead"),
+        (("anything",), 1, "cannot build rfpp.model.renderformer_pp.RenderFormerPP"),
+    ],
+)
+def test_a_configuration_that_no_network_has_is_refused_at_once(tmp_path, path, value, message):
+    assert message in refusal(save(tmp_path / "a.ckpt", model=changed(path, value)))
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"model": {"_target_": "rfpp.model.film.CentreSample"}}, "is of no network"),
+        ({"model": [1, 2]}, "model: Input should be a valid dictionary"),
+        ({"resolution": [0, 16]}, "was trained at (0, 16) pixels"),
+        ({"resolution": 16}, "resolution: "),
+        ({"seed": "first"}, "seed: "),
+        ({"surprise": 1}, "surprise: "),
+    ],
+)
+def test_a_description_that_does_not_fit_is_refused(tmp_path, changes, message):
+    content = torch.load(save(tmp_path / "a.ckpt"), weights_only=True)
+    content[CHECKPOINT_KEY] |= changes
+    torch.save(content, tmp_path / "a.ckpt")
+    assert message in refusal(tmp_path / "a.ckpt")
+
+
+@pytest.mark.parametrize("state", [None, 7, [1], {"network.a": 3}])
+def test_weights_that_are_none_are_refused(tmp_path, state):
+    torch.save({CHECKPOINT_KEY: checkpoint_info().to_dict(), "state_dict": state}, tmp_path / "a.ckpt")
+    assert "holds no weights" in refusal(tmp_path / "a.ckpt")

@@ -1,6 +1,7 @@
 """Networks as folders: what is saved renders the same, and what is damaged says so."""
 
 import json
+import os
 import shutil
 
 import numpy as np
@@ -10,6 +11,7 @@ from edited_scenes import scene
 from networks import checkpoint_info, network
 
 from rfpp.errors import CheckpointError
+from rfpp.inference.checkpoint import load_network
 from rfpp.inference.renderer import Renderer
 
 METRICS = {"test": {"log_l1": 0.0123456, "psnr": 27.25}, "validation": {"log_l1": 0.01}}
@@ -107,3 +109,10 @@ def test_training_starts_from_a_folder(folder, renderer):
     load_initial_weights(fresh, folder)
     for name, weight in fresh.state_dict().items():
         assert torch.equal(weight, renderer.network.state_dict()[name]), name
+
+
+def test_a_pipe_is_not_read(folder, tmp_path):
+    (tmp_path / "model.safetensors").write_bytes((folder / "model.safetensors").read_bytes())
+    os.mkfifo(tmp_path / "config.json")
+    with pytest.raises(CheckpointError, match=r"config\.json: is not a plain file"):
+        load_network(tmp_path)

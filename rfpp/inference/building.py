@@ -1,0 +1,76 @@
+"""A network from the configuration in somebody's file: parts of `rfpp.model` and nothing else, of any usual size."""
+
+from __future__ import annotations
+
+import importlib
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from rfpp.errors import CheckpointError
+from rfpp.model.renderformer_pp import RenderFormerPP
+
+#: A checkpoint may only name parts from here; anything else in a config is refused, not imported.
+ALLOWED_PREFIX = "rfpp.model."
+#: No number in a network's configuration is larger, and none of what is done so many times.
+_LARGEST, _MOST_TIMES = 1 << 20, 1024
+_TIMES = ("layers", "iterations", "frequencies")
+
+
+def build_network(config: Any, weights: dict[str, Tensor], where: str) -> RenderFormerPP:
+    """The network of a configuration, without its weights, for which it is made to fit before any memory is taken.
+
+    Raises:
+        CheckpointError: naming `where`: the configuration is not of a network, or of another than the weights are.
+    """
+    with torch.device("meta"):
+        shape = build(config, where)
+    if not isinstance(shape, RenderFormerPP):
+        raise CheckpointError(f"{where}: its configuration is of no network: use the version that made it")
+    require_fitting(shape, weights, where)
+    return build(config, where)
+
+
+def build(config: Any, where: str) -> Any:
+    """Instantiate a nested `_target_` config whose targets all lie in rfpp.model. Raises CheckpointError."""
+    if isinstance(config, list | tuple):
+        return [build(item, where) for item in config]
+    if not isinstance(config, dict):
+        return _usual(config, where)
+    arguments = {key: build(value, where) for key, value in config.items() if key != "_target_"}
+    if "_target_" not in config:
+        return arguments
+    for name, value in arguments.items():
+        if str(name).endswith(_TIMES) and isinstance(value, int) and value > _MOST_TIMES:
+            raise CheckpointError(f"{where}: {name}={value} is more than {_MOST_TIMES}: refused")
+    target = config["_target_"]
+    if not isinstance(target, str) or not target.startswith(ALLOWED_PREFIX):
+        raise CheckpointError(f"{where}: names {target!r}, which is not a part of {ALLOWED_PREFIX[:-1]}: refused")
+    module_name, _, class_name = target.rpartition(".")
+    try:
+        part = getattr(importlib.import_module(module_name), class_name)
+        if not (isinstance(part, type) and part.__module__ == module_name):
+            raise AttributeError(f"{target} is not a class defined there")
+        return part(**arguments)
+    except Exception as error:  # constructors were not written for what a stranger's file may give them
+        reason = (str(error).strip() or type(error).__name__).splitlines()[0][:160]
+        raise CheckpointError(f"{where}: cannot build {target} ({reason}): use the version that made it") from None
+
+
+def require_fitting(network: nn.Module, weights: dict[str, Tensor], where: str) -> None:
+    """Raises CheckpointError where the weights are not, all of them, those of the network."""
+    expected = network.state_dict()
+    missing, extra = sorted(expected.keys() - weights.keys()), sorted(weights.keys() - expected.keys())
+    wrong = sorted(k for k in expected.keys() & weights.keys() if expected[k].shape != weights[k].shape)
+    for problem, names in (("lacks", missing), ("has the unknown tensor", extra), ("has another shape for", wrong)):
+        if names:
+            raise CheckpointError(
+                f"{where}: {problem} {names[0]} (and {len(names) - 1} more): it belongs to another model"
+            )
+
+
+def _usual(value: Any, where: str) -> Any:
+    if isinstance(value, int | float) and not -_LARGEST <= value <= _LARGEST:  # NaN is neither
+        raise CheckpointError(f"{where}: its configuration holds a number that is none up to {_LARGEST:,}: refused")
+    return value
