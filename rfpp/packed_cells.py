@@ -14,6 +14,9 @@ from torch import Tensor
 from rfpp.gbuffer.cells import Cells, parts
 from rfpp.segments import Segments, on_device
 
+#: What of cells is light.
+LIGHT = ("emitted", "arriving", "highlights")
+
 
 @dataclass(frozen=True)
 class PackedCells:
@@ -21,9 +24,9 @@ class PackedCells:
 
     Attributes:
         octant: [C] int64, 8 · object of the batch + octant.
-        centre, normal, diffuse, specular, emitted, arriving: [C, 3].
+        centre, normal, diffuse, specular, emitted, arriving, highlights: [C, 3].
         area, roughness: [C].
-        hits: [C, R] int64, cells of the same scene, counted from its first; -1 for none.
+        hits, onward: [C, R] int64, cells of the same scene, counted from its first; -1 for none.
         scenes: B segments of the cells.
     """
 
@@ -36,7 +39,9 @@ class PackedCells:
     roughness: Float[Tensor, " c"]
     emitted: Float[Tensor, "c 3"]
     arriving: Float[Tensor, "c 3"]
+    highlights: Float[Tensor, "c 3"]
     hits: Int[Tensor, "c rays"]
+    onward: Int[Tensor, "c rays"]
     scenes: Segments
 
     @classmethod
@@ -46,7 +51,7 @@ class PackedCells:
         packed = {name: torch.from_numpy(np.concatenate([column[name] for column in columns])) for name in columns[0]}
         before = np.repeat(np.cumsum(objects) - objects, [len(of_scene) for of_scene in cells])
         packed["octant"] = packed["octant"].long() + 8 * torch.from_numpy(before)
-        packed["hits"] = packed["hits"].long()
+        packed |= {name: packed[name].long() for name in ("hits", "onward")}
         return cls(**packed, scenes=Segments.from_lengths([len(of_scene) for of_scene in cells]))
 
     def __len__(self) -> int:
@@ -55,7 +60,7 @@ class PackedCells:
     def dimmed(self, factor: Float[Tensor, " b"]) -> PackedCells:
         """Every scene's light divided by its factor."""
         per_cell = factor[self.scenes.index][:, None]
-        return replace(self, emitted=self.emitted / per_cell, arriving=self.arriving / per_cell)
+        return replace(self, **{name: getattr(self, name) / per_cell for name in LIGHT})
 
     @cached_property
     def _rows(self) -> tuple[Int[Tensor, "b longest"], Bool[Tensor, "b longest"], Int[Tensor, " c"]]:

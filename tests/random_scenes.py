@@ -66,5 +66,7 @@ def random_cells(rng: np.random.Generator, objects: int, per_object: int = 5) ->
         roughness=numbers(),
         emitted=np.zeros((count, 3), np.float32),
         arriving=numbers(3),
+        highlights=numbers(3),
         hits=rng.integers(-1, count, (count, 8)).astype(np.int32),
+        onward=rng.integers(-1, count, (count, 8)).astype(np.int32),
     )

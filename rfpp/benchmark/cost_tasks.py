@@ -16,7 +16,7 @@ from torch.utils.flop_counter import FlopCounterMode
 from rfpp.allocator import keep_freed_memory
 from rfpp.batch import RaggedBatch
 from rfpp.errors import UserError
-from rfpp.inference.checkpoint import build
+from rfpp.inference.building import build
 from rfpp.inference.object_encoder import ObjectEncoder
 from rfpp.inference.precision import convert_blocks
 from rfpp.losses.rendering import RenderingLoss

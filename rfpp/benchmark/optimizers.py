@@ -15,7 +15,7 @@ from hydra.utils import instantiate
 from rfpp.batch import RaggedBatch
 from rfpp.benchmark.cost_rows import Row, read_rows
 from rfpp.benchmark.cost_tasks import Setting
-from rfpp.inference.checkpoint import build
+from rfpp.inference.building import build
 from rfpp.metrics.image import log_l1
 from rfpp.model.renderformer_pp import RenderFormerPP
 from rfpp.radiance import log_decode

@@ -8,11 +8,12 @@ from pathlib import Path
 
 import numpy as np
 import torch
+import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
 from rfpp.batch import RaggedBatch, SceneViews
-from rfpp.gbuffer.first_hit import CHANNELS
+from rfpp.gbuffer.first_hit import CELL_CHANNELS, CHANNELS
 from rfpp.inference.gbuffers import GBufferSource
 from rfpp.model.film import PixelFilter
 from rfpp.model.linear_decoder import KNOWN
@@ -23,8 +24,17 @@ from rfpp.shards.stream import ShardSplit
 
 #: Points along each side of a pixel, and samples of light at each.
 POINTS, SAMPLES = 2, 32
+#: The same for the light that references are compared with. A lamp in a mirror is smaller than a pixel and a hundred
+#: times as bright as all around; what 2 × 2 points miss of it would count as light of further bounces.
+FINE_POINTS, FINE_SAMPLES = 6, 4
+#: Pixels in which a lamp glints are left out: those that know, in them or beside them, so many times the image's mean
+#: from glossy lobes. References of some hundred samples do not know how bright they are.
+GLINT = 4.0
+#: Near that of the references.
+_FILM = PixelFilter(0.125)
+_FINELY = "known_finely"
 #: What is kept in half precision: all but where things are, and which cells are seen.
-_HALF = tuple(name for name in CHANNELS if name not in ("position", "normal", "diffuse_cells", "glossy_cells"))
+_HALF = tuple(name for name in CHANNELS if name not in ("position", "normal", *CELL_CHANNELS))
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,11 +43,29 @@ class CleanScene:
 
     Attributes:
         views: the scene; its G-buffers have POINTS² points a pixel, and the channels of `CHANNELS` in their order.
-        known: [V, 3, H, W] its known light: first bounce and reflection of it, filtered as the reference is.
+        known: [V, 3, H, W] its known light, first bounce and reflection of it, as these G-buffers have it: a part of
+            every network's image.
+        known_finely: [V, 3, H, W] the same of FINE_POINTS² points a pixel: a part of the reference.
+        counted: [V, 1, H, W] 1 for pixels in which no lamp glints, 0 for others.
     """
 
     views: SceneViews
     known: Float[Tensor, "v 3 h w"]
+    known_finely: Float[Tensor, "v 3 h w"]
+    counted: Float[Tensor, "v 1 h w"]
+
+    @property
+    def reference(self) -> Float[Tensor, "v 3 h w"]:
+        return torch.from_numpy(self.views.image)
+
+    @property
+    def to_add(self) -> Float[Tensor, "v 3 h w"]:
+        """Further light: what the reference adds to known light, where it counts."""
+        return self.counted * (self.reference - self.known_finely)
+
+    def added_by(self, image: Float[Tensor, "v 3 h w"]) -> Float[Tensor, "v 3 h w"]:
+        """What a network's image adds to the known light it is given, likewise."""
+        return self.counted * (image - self.known)
 
     def batch(self, channels: tuple[str, ...]) -> RaggedBatch:
         """For a network that reads these; without the image, which has fewer pixels than there are points."""
@@ -58,12 +86,15 @@ def clean_scene(split: ShardSplit, index: int, folder: Path) -> CleanScene:
     if file.exists():
         with np.load(file, allow_pickle=False) as stored:
             gbuffer = np.concatenate([stored[name].astype(np.float32) for name in CHANNELS], axis=1)
+            finely = stored[_FINELY]
     else:
         rays = source.of(scene, height, width, SAMPLES, POINTS)
         gbuffer = np.stack([rays(view) for view in range(len(sample.fov))])
         parts = np.split(gbuffer, np.cumsum(list(CHANNELS.values()))[:-1], axis=1)
         named = dict(zip(CHANNELS, parts, strict=True))
-        _write(file, {name: x.astype(np.float16) if name in _HALF else x for name, x in named.items()})
+        finely = known_finely(scene, height, width)
+        kept = {name: x.astype(np.float16) if name in _HALF else x for name, x in named.items()}
+        _write(file, kept | {_FINELY: finely})
     views = SceneViews(
         key=sample.key,
         triangles=sample.triangles,
@@ -74,13 +105,31 @@ def clean_scene(split: ShardSplit, index: int, folder: Path) -> CleanScene:
         object_light=sample.object_light,
         cells=cells,
     )
-    return CleanScene(views, _known(torch.from_numpy(gbuffer)))
-
-
-def _known(gbuffer: Float[Tensor, "v c h w"]) -> Float[Tensor, "v 3 height width"]:
-    named = dict(zip(CHANNELS, gbuffer.split(list(CHANNELS.values()), dim=1), strict=True))
+    named = dict(zip(CHANNELS, torch.from_numpy(gbuffer).split(list(CHANNELS.values()), dim=1), strict=True))
     albedo, specular, diffuse, glossy, reflected = (named[name] for name in KNOWN)
-    return PixelFilter(0.125)(means(albedo * diffuse + specular * (glossy + reflected), POINTS))
+    known = _FILM(means(albedo * diffuse + specular * (glossy + reflected), POINTS))
+    diffuse, glossy = torch.from_numpy(finely)
+    return CleanScene(views, known, diffuse + glossy, without_glints(glossy, torch.from_numpy(views.image)))
+
+
+def without_glints(glossy: Float[Tensor, "v 3 h w"], image: Float[Tensor, "v 3 h w"]) -> Float[Tensor, "v 1 h w"]:
+    """1 for pixels in which no lamp glints, 0 for others.
+
+    Args:
+        glossy: known light from glossy lobes.
+    """
+    usual = image.mean((1, 2, 3), keepdim=True)
+    return (F.max_pool2d(glossy.mean(1, keepdim=True), 3, stride=1, padding=1) <= GLINT * usual).float()
+
+
+def known_finely(scene: PackedScene, height: int, width: int) -> Float[np.ndarray, "2 v 3 h w"]:
+    """Known light that is free of noise, and of what single points miss: of the diffuse and of the glossy lobe."""
+    rays, lobes = GBufferSource(KNOWN).of(scene, height, width, FINE_SAMPLES, FINE_POINTS), []
+    for view in range(len(scene.fov)):
+        channels = torch.from_numpy(rays(view)).split([CHANNELS[name] for name in KNOWN])
+        albedo, specular, diffuse, glossy, reflected = channels
+        lobes.append(_FILM(means(torch.stack([albedo * diffuse, specular * (glossy + reflected)]), FINE_POINTS)))
+    return torch.stack(lobes, dim=1).numpy()
 
 
 def _write(file: Path, arrays: dict[str, np.ndarray]) -> None:

@@ -15,6 +15,7 @@ from torch import Tensor, nn
 from rfpp.evaluation.clean_views import POINTS, CleanScene, clean_scene
 from rfpp.evaluation.confidence import INTERVAL, Estimate
 from rfpp.inference.life import donated, impaired
+from rfpp.losses.radiance import log_l1
 from rfpp.model.radiosity import UnlearnedRadiosity
 from rfpp.radiance import log_decode, log_encode
 from rfpp.shards.stream import ShardSplit
@@ -29,7 +30,8 @@ class LightErrors:
     """Of one predictor on S scenes, as it is and with parts of it made useless (`rfpp.inference.life`).
 
     Attributes:
-        wrong: by what was done, of every scene Σ |m(x) − m(y)|, m the means over squares of image minus known light.
+        wrong: by what was done, of every scene Σ |m(x) − m(y)|, m the means over squares of what was added to known
+            light, and of what is to be added.
         log_l1: likewise, mean |log10(1 + x) − log10(1 + y)|.
         there: of every scene, Σ |m(y)|.
         added, to_add: of every scene, Σ m(x) and Σ m(y), as it is.
@@ -41,12 +43,15 @@ class LightErrors:
     added: list[float] = field(default_factory=list)
     to_add: list[float] = field(default_factory=list)
 
-    def add(self, what: str, image: Float[Tensor, "v 3 h w"], known: Tensor, reference: Tensor) -> None:
-        """One more scene."""
-        of_image, of_reference = (F.avg_pool2d(x - known, SQUARE) for x in (image, reference))
+    def add(self, what: str, added: Float[Tensor, "v 3 h w"], to_add: Float[Tensor, "v 3 h w"], log_l1: float) -> None:
+        """One more scene.
+
+        Args:
+            added, to_add: see `CleanScene`.
+        """
+        of_image, of_reference = (F.avg_pool2d(x, SQUARE) for x in (added, to_add))
         self.wrong.setdefault(what, []).append((of_image - of_reference).abs().sum().item())
-        error = (log_encode(image.clamp_min(0)) - log_encode(reference)).abs().mean().item()
-        self.log_l1.setdefault(what, []).append(error)
+        self.log_l1.setdefault(what, []).append(log_l1)
         if what == AS_IT_IS:
             self.there.append(of_reference.abs().sum().item())
             self.added.append(of_image.sum().item())
@@ -96,7 +101,8 @@ def measure(
         scene = clean_scene(split, index, folder)
         for name, network in predictors.items():
             for what, image in _images(network, scene, donors, name, autocast):
-                errors[name].add(what, image, scene.known, torch.from_numpy(scene.views.image))
+                error = log_l1(log_encode(image.clamp_min(0)), scene.reference).item()
+                errors[name].add(what, scene.added_by(image), scene.to_add, error)
         on_scene()
     return errors
 

@@ -11,6 +11,7 @@ from rfpp.gbuffer.cell_grid import CellGrid
 from rfpp.gbuffer.cells import NOWHERE, CellMap, Cells
 from rfpp.gbuffer.direct_light import gathered
 from rfpp.gbuffer.light_sampler import LightSampler
+from rfpp.gbuffer.ray_ends import ray_ends
 from rfpp.gbuffer.surface import Surface, cosine_directions, lattice
 from rfpp.scene.triangles import DIFFUSE, EMISSION, ROUGHNESS, SPECULAR, SceneTriangles
 
@@ -45,7 +46,10 @@ def find_cells(sampler: LightSampler) -> tuple[Cells, CellMap]:
     surface = seen.surface(triangles)
     dull = replace(surface, specular=np.zeros_like(surface.specular))  # only irradiance is wanted
     arriving = gathered(sampler, dull, 1, rng)[0]
-    hits, _ = _where_light_goes(sampler, everywhere, seen, of_cell, rng)
+    origin, way, cosine = _rays(triangles, seen, of_cell, rng)
+    ends = ray_ends(sampler, everywhere, origin, way, cosine / np.pi)
+    highlights = ends.highlights(sampler, rng).reshape(-1, RAYS, 3).mean(1)
+    onward = ends.onward(sampler, everywhere, rng)
     count = np.bincount(of_cell)
 
     def mean(values: np.ndarray) -> np.ndarray:
@@ -63,7 +67,9 @@ def find_cells(sampler: LightSampler) -> tuple[Cells, CellMap]:
         roughness=mean(material[:, ROUGHNESS])[:, 0],
         emitted=mean(material[:, EMISSION]),
         arriving=mean(arriving),
-        hits=hits.astype(np.int32),
+        highlights=highlights.astype(np.float32),
+        hits=ends.cell.reshape(-1, RAYS).astype(np.int32),
+        onward=onward.reshape(-1, RAYS).astype(np.int32),
     )
     return cells, everywhere
 
@@ -116,24 +122,32 @@ def _even_points(
     return _Points(np.tile(triangle, 2), np.tile(position, (2, 1)), back), np.tile(size / count[owner], 2)
 
 
-def _where_light_goes(
-    sampler: LightSampler, cells: CellMap, points: _Points, cell: Int[np.ndarray, " r"], rng: np.random.Generator
-) -> tuple[Int[np.ndarray, "c rays"], _Points]:
-    """The cells in which RAYS rays from each cell end, and the ends, of those that end in one.
+def _rays(
+    triangles: SceneTriangles, points: _Points, cell: Int[np.ndarray, " r"], rng: np.random.Generator
+) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"], Float[np.ndarray, " n"]]:
+    """RAYS rays from each cell, cell by cell: origins, ways, and cosines with which they leave.
 
     Args:
         points: where rays start, in turn; at least one of every cell.
         cell: of the points, ascending.
     """
-    triangles, count = sampler.triangles, np.bincount(cell)
+    count = np.bincount(cell)
     start = (np.cumsum(count) - count)[:, None] + np.arange(RAYS) % count[:, None]
-    rays = points.part(start.reshape(-1)).surface(triangles)
-    way = cosine_directions(rays, lattice(RAYS, rng.random((len(count), 2))).reshape(-1, 2))
-    hits = sampler.caster.cast(rays.point, way)
-    found = cells.of_hits(rays.point, way, hits)
+    surface = points.part(start.reshape(-1)).surface(triangles)
+    way = cosine_directions(surface, lattice(RAYS, rng.random((len(count), 2))).reshape(-1, 2))
+    return surface.point, way, (surface.normal * way).sum(-1)
+
+
+def _where_light_goes(
+    sampler: LightSampler, cells: CellMap, points: _Points, cell: Int[np.ndarray, " r"], rng: np.random.Generator
+) -> tuple[Int[np.ndarray, "c rays"], _Points]:
+    """The cells in which RAYS rays from each cell end, and the ends, of those that end in one."""
+    origin, way, _ = _rays(sampler.triangles, points, cell, rng)
+    hits = sampler.caster.cast(origin, way)
+    found = cells.of_hits(origin, way, hits)
     met = found != NOWHERE
-    triangle, position = hits.triangle[met], rays.point[met] + hits.distance[met, None] * way[met]
-    front = _Points(triangle, position, np.zeros(len(triangle), bool)).normal(triangles)
+    triangle, position = hits.triangle[met], origin[met] + hits.distance[met, None] * way[met]
+    front = _Points(triangle, position, np.zeros(len(triangle), bool)).normal(sampler.triangles)
     return found.reshape(-1, RAYS), _Points(triangle, position, (front * way[met]).sum(-1) > 0)
 
 

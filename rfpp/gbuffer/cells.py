@@ -1,7 +1,8 @@
 """Cells: a scene's surfaces as a few hundred pieces between which light is exchanged, as in radiosity.
 
-Light that arrives at a cell leaves it in all directions alike. The first bounce is known of each, with its shadows, and
-of where its own light goes, the ends of some rays: the form factors of Goral et al. 1984, found as Malley 1988 has it.
+Light that arrives at a cell leaves it in all directions alike, but for what its glossy lobe sends back along the rays
+of others. The first bounce is known of each, with its shadows, and of where its light comes from, the ends of some
+rays: the form factors of Goral et al. 1984, found as Malley 1988 has it.
 """
 
 from __future__ import annotations
@@ -30,7 +31,10 @@ class Cells:
         diffuse, specular, roughness: means.
         emitted: radiance.
         arriving: irradiance / π straight from the emitters, shadows included.
+        highlights: irradiance / π of the emitters by way of one glossy lobe.
         hits: the cells that RAYS rays end in, which leave as diffuse light does; NOWHERE for none.
+        onward: the cells that the rays end in which the glossy lobe throws on from there (`rfpp.gbuffer.ray_ends`);
+            NOWHERE for none.
     """
 
     octant: Int[np.ndarray, " c"]
@@ -42,7 +46,9 @@ class Cells:
     roughness: Float[np.ndarray, " c"]
     emitted: Float[np.ndarray, "c 3"]
     arriving: Float[np.ndarray, "c 3"]
+    highlights: Float[np.ndarray, "c 3"]
     hits: Int[np.ndarray, "c rays"]
+    onward: Int[np.ndarray, "c rays"]
 
     def __len__(self) -> int:
         return len(self.area)
@@ -54,7 +60,7 @@ class Cells:
 
     def recoloured(self, order: Int[np.ndarray, " 3"]) -> Cells:
         """Red, green and blue in another order."""
-        coloured = ("diffuse", "specular", "emitted", "arriving")
+        coloured = ("diffuse", "specular", "emitted", "arriving", "highlights")
         return replace(self, **{name: getattr(self, name)[:, order] for name in coloured})
 
 

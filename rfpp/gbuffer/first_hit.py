@@ -19,15 +19,17 @@ DIRECT_CHANNELS = ("direct_diffuse", "direct_glossy")
 #: Channels of what shiny surfaces show, in the units of `Reflection`.
 REFLECTION_CHANNELS = ("reflected_light", "reflected_albedo")
 #: Channels of the cells that pixels see, in the units of `SeenCells`.
-CELL_CHANNELS = ("diffuse_cells", "glossy_cells")
+CELL_CHANNELS = ("diffuse_cells", "glossy_cells", "diffuse_onward", "glossy_onward")
+#: What the rays of the diffuse lobe see of the emitters in shiny surfaces, in the units of `SeenCells`.
+HIGHLIGHTS = "highlights"
 #: Channels of the light that pixels gather from cells, by lobe; networks find it themselves.
 GATHERED_CHANNELS = ("gathered_diffuse", "gathered_glossy")
 #: Rays to cells from each pixel and lobe.
 CELL_RAYS = 4
 #: Channels that hold light.
-LIGHT_CHANNELS = (*DIRECT_CHANNELS, "reflected_light")
+LIGHT_CHANNELS = (*DIRECT_CHANNELS, "reflected_light", HIGHLIGHTS)
 #: Channels whose three numbers are red, green and blue.
-COLOUR_CHANNELS = ("albedo", "specular", *DIRECT_CHANNELS, *REFLECTION_CHANNELS)
+COLOUR_CHANNELS = ("albedo", "specular", *DIRECT_CHANNELS, *REFLECTION_CHANNELS, HIGHLIGHTS)
 #: The geometry-buffer channels a network may ask for, and how many numbers each has.
 CHANNELS: dict[str, int] = {
     "normal": 3,
@@ -76,10 +78,22 @@ class SeenCells:
     Attributes:
         diffuse: [H, W, S] int32: rays as dense as diffuse light arrives.
         glossy: [H, W, S] int32: rays as the glossy lobe sends them.
+        diffuse_onward, glossy_onward: [H, W, S] int32: what the glossy lobe throws on from where those end.
+        highlights: [H, W, 3] float32 irradiance / π: the emitters' light that glossy lobes send to the diffuse rays.
     """
 
     diffuse: Int[np.ndarray, "h w s"]
     glossy: Int[np.ndarray, "h w s"]
+    diffuse_onward: Int[np.ndarray, "h w s"]
+    glossy_onward: Int[np.ndarray, "h w s"]
+    highlights: Float[np.ndarray, "h w 3"]
+
+    @property
+    def rays(self) -> dict[str, Int[np.ndarray, "h w s"]]:
+        """By their channels."""
+        return dict(
+            zip(CELL_CHANNELS, (self.diffuse, self.glossy, self.diffuse_onward, self.glossy_onward), strict=True)
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,10 +204,10 @@ def channel(
         if gbuffer.reflection is None:
             raise ValueError(f"'{name}' was asked of a G-buffer without reflection: see with_reflection")
         return gbuffer.reflection.light if name == "reflected_light" else gbuffer.reflection.albedo
-    if name in CELL_CHANNELS:
+    if name in (*CELL_CHANNELS, HIGHLIGHTS):
         if gbuffer.cells is None:
             raise ValueError(f"'{name}' was asked of a G-buffer without cells: see with_cells")
-        return (gbuffer.cells.diffuse if name == "diffuse_cells" else gbuffer.cells.glossy).astype(np.float32)
+        return gbuffer.cells.highlights if name == HIGHLIGHTS else gbuffer.cells.rays[name].astype(np.float32)
     raise UserError(f"G-buffer channel '{name}' does not exist: choose from {', '.join(CHANNELS)}")
 
 

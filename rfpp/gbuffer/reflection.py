@@ -19,8 +19,9 @@ from jaxtyping import Float
 
 from rfpp.gbuffer import ggx
 from rfpp.gbuffer.direct_light import gathered
-from rfpp.gbuffer.first_hit import GBuffer, Reflection, facing_normals
+from rfpp.gbuffer.first_hit import GBuffer, Reflection
 from rfpp.gbuffer.light_sampler import LightSampler
+from rfpp.gbuffer.ray_ends import blurred, density_of_lobes, surface_at
 from rfpp.gbuffer.surface import Surface, chunks, lattice, local
 
 
@@ -61,32 +62,16 @@ def _reflected(
     shifts = rng.random((len(surface), 2))[view[:, 2] > 0]
     incoming = ggx.sample(view[rows], surface.alpha[rows], lattice(samples, shifts).reshape(-1, 2))
     way = np.einsum("rk,rkx->rx", incoming, frame[rows])
-    hits = sampler.caster.cast(surface.point[rows], way)
-    used = (hits.triangle >= 0) & (sampler.emitter_of(hits.triangle) < 0) & (incoming[:, 2] > 0)
-    rows, incoming, way, triangle = rows[used], incoming[used], way[used], hits.triangle[used]
-
-    eye = surface.point[rows]
-    position = eye + hits.distance[used, None] * way
-    normal = facing_normals(sampler.triangles, triangle, hits.barycentric[used], way)
-    there = Surface.at(sampler.triangles, triangle, position, normal, eye)
+    up = np.flatnonzero(incoming[:, 2] > 0)
+    rows, incoming, way = rows[up], incoming[up], way[up]
+    met, there = surface_at(sampler, surface.point[rows], way, sampler.caster.cast(surface.point[rows], way))
+    rows, incoming = rows[met], incoming[met]
     by_lobe = ggx.pdf(view[rows], incoming, surface.alpha[rows])
-    blur = _blur(surface.part(rows), incoming[:, 2], by_lobe)
-    diffuse, glossy = gathered(sampler, replace(there, alpha=np.maximum(there.alpha, blur)), 1, rng)
+    there = blurred(there, density_of_lobes(surface.part(rows), incoming[:, 2], by_lobe))
+    diffuse, glossy = gathered(sampler, there, 1, rng)
     weight = ggx.lobe(view[rows], incoming, surface.alpha[rows]) / by_lobe
 
     reflected = np.zeros((2, len(surface), 3))
     np.add.at(reflected[0], rows, weight[:, None] * (there.diffuse * diffuse + there.specular * glossy))
     np.add.at(reflected[1], rows, weight[:, None] * (there.diffuse + there.specular))
     return reflected * ggx.multiple_scattering(view[:, 2], surface.alpha, surface.specular) / samples
-
-
-def _blur(
-    surface: Surface, cosine: Float[np.ndarray, " n"], by_lobe: Float[np.ndarray, " n"]
-) -> Float[np.ndarray, " n"]:
-    """The least α of what is seen in these directions from a surface, as Cycles has it with "Filter Glossy" 1.
-
-    It grows to 1/2 as the density falls with which both lobes of the surface together send out such a ray.
-    """
-    diffuse, specular = surface.diffuse.mean(-1), surface.specular.mean(-1)
-    density = (diffuse * cosine / np.pi + specular * by_lobe) / (diffuse + specular)
-    return 0.5 * np.sqrt((1 - density).clip(0))

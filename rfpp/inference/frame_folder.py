@@ -12,7 +12,7 @@ import torch
 from jaxtyping import Float
 from torch import nn
 
-from rfpp.exr import ImageFileError, decode_exr, exr_attributes, read_exr, write_exr
+from rfpp.exr import ImageFileError, compact, decode_exr, exr_attributes, read_exr, write_exr
 from rfpp.scene.packed import PackedScene
 
 #: Name in the file's header of the digest of everything the image depends on.
@@ -52,8 +52,7 @@ class FrameFolder:
 
     def write(self, image: Float[np.ndarray, "h w 3"], shot: Shot) -> None:
         """Raises UserError (full disk)."""
-        layers = {"RGB": np.ascontiguousarray(image.astype(np.float16))}
-        write_exr(self._path(shot.number), layers, {_ORIGIN: shot.origin})
+        write_exr(self._path(shot.number), {"RGB": compact(image)}, {_ORIGIN: shot.origin})
 
     def images(self, count: int) -> Iterator[Float[np.ndarray, "h w 3"]]:
         """Linear radiance of the first frames. Raises ImageFileError naming one that cannot be read."""

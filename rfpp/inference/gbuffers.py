@@ -15,6 +15,7 @@ from rfpp.gbuffer.direct_light import with_direct_light
 from rfpp.gbuffer.first_hit import (
     CELL_CHANNELS,
     DIRECT_CHANNELS,
+    HIGHLIGHTS,
     REFLECTION_CHANNELS,
     GBuffer,
     camera_caster,
@@ -80,9 +81,9 @@ class GBufferSource:
             for gather, light in ((with_direct_light, DIRECT_CHANNELS), (with_reflection, REFLECTION_CHANNELS)):
                 if not set(self.channels).isdisjoint(light):
                     gbuffer = gather(gbuffer, c2w, fov, self._lights(triangles, geometry), light_samples)
-            if not set(self.channels).isdisjoint(CELL_CHANNELS):
+            if not set(self.channels).isdisjoint((*CELL_CHANNELS, HIGHLIGHTS)):
                 lights, (_, cells) = self._lights(triangles, geometry), self._cells(triangles, geometry)
-                gbuffer = with_cells(gbuffer, c2w, fov, triangles, lights.caster, cells, points)
+                gbuffer = with_cells(gbuffer, c2w, fov, lights, cells, points)
             return stack_channels(gbuffer, triangles.material, fov, self.channels)
 
         return channels

@@ -13,6 +13,7 @@ from rfpp.batch import RaggedBatch
 from rfpp.losses.radiance import log_l1
 from rfpp.model.renderformer_pp import RenderFormerPP
 from rfpp.model.tokenizer import SceneTokens
+from rfpp.packed_cells import LIGHT
 
 #: The scene tokens of another scene in place of its own; they keep their places, and the light they start with.
 EXCHANGED_TOKENS = "exchanged_tokens"
@@ -41,7 +42,7 @@ def impaired(
     if tokens.cells is not None:
         cells = tokens.cells
         order = _within_scenes(cells.scenes.index)
-        dealt = replace(cells, arriving=cells.arriving[order], emitted=cells.emitted[order])
+        dealt = replace(cells, **{name: getattr(cells, name)[order] for name in LIGHT})
         images[PERMUTED_LIGHT] = view(replace(tokens, cells=dealt))
     if network.iterations:
         (still, *_), _ = network.transported_each(exposure, tokens, 0)

@@ -169,7 +169,20 @@ class Renderer:
                 if view + 1 < batch.num_views:
                     upcoming = beside.submit(gbuffers, view + 1)
                 one = slice(view, view + 1)
-                yield self._decode(encoded, batch.c2w[:, one], batch.fov[:, one], gbuffer, points)
+                image = self._decode(encoded, batch.c2w[:, one], batch.fov[:, one], gbuffer, points)
+                self._require_finite(image, f"scene '{scene.name}', view {view}")
+                yield image
+
+    def _require_finite(self, image: Float[np.ndarray, "height width 3"], what: str) -> None:
+        """Raises UserError naming the cause, as far as it is known."""
+        wrong = np.count_nonzero(~np.isfinite(image).all(axis=-1))
+        if not wrong:
+            return
+        if all(torch.isfinite(weight).all() for weight in self.network.parameters()):
+            why = "its lights, its sizes or its camera's distance are beyond what can be computed: check the scene"
+        else:
+            why = "the network's weights are not finite, its training diverged: take an earlier checkpoint"
+        raise UserError(f"{what}: {wrong} of {image.shape[0] * image.shape[1]} pixels are not finite: {why}")
 
     def _autocast(self) -> torch.autocast:
         return torch.autocast(self.device.type, self.dtype, enabled=self.dtype != torch.float32)

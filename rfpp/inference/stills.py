@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from rfpp.exr import write_exr
+from rfpp.exr import compact, write_exr
 from rfpp.metrics.flip import flip
 from rfpp.panels import error_map, false_colours, panel, save_png
 from rfpp.tone_maps import ToneMap
@@ -17,12 +17,12 @@ Image = Float[np.ndarray, "h w 3"]
 
 
 def write_still(image: Image, target: Path, tone_map: ToneMap, layers: Mapping[str, np.ndarray] | None = None) -> None:
-    """Linear radiance as half-float EXR with further layers, and tone-mapped as PNG beside it.
+    """Linear radiance as EXR with further layers, half floats where they hold it, and tone-mapped as PNG beside it.
 
     Raises:
         UserError: a file cannot be written.
     """
-    write_exr(target, {"RGB": np.ascontiguousarray(image.astype(np.float16)), **(layers or {})})
+    write_exr(target, {"RGB": compact(image), **(layers or {})})
     save_png(tone_map(image), target.with_suffix(".png"))
 
 

@@ -10,6 +10,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from rfpp.model.bounces import DullBounce, GlossyBounce
 from rfpp.packed_cells import PackedCells
 
 #: Of what arrives at a cell at least so much comes from nowhere, where that has to be guessed.
@@ -20,6 +21,9 @@ _LEAST_SHARE = 1 / 4096
 
 class CastFormFactors:
     """Of the rays stored with each cell (Embree): exact but for their number."""
+
+    #: Rays know where glossy lobes send light.
+    bounce = GlossyBounce
 
     def __call__(self, cells: PackedCells) -> tuple[Float[Tensor, "b c c"], Float[Tensor, "b c"]]:
         """F_ij of every pair of cells of a scene, padded, and what escapes; together 1 in each row."""
@@ -36,6 +40,8 @@ class UnoccludedFormFactors:
 
     For surfaces far apart the form factor of a differential area to a small one; for near ones bounded by 1.
     """
+
+    bounce = DullBounce
 
     def __call__(self, cells: PackedCells) -> tuple[Float[Tensor, "b c c"], Float[Tensor, "b c"]]:
         """As `CastFormFactors`; rows that would exceed 1 are made to fit when they are normalised."""

@@ -10,9 +10,10 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from rfpp.model.block import NORM_EPS, RMSNorm, SwiGLU
+from rfpp.model.bounces import DullBounce, light_after
 from rfpp.model.form_factors import CastFormFactors, UnoccludedFormFactors, divergence
 from rfpp.model.irradiance import CastIrradiance, CoupledIrradiance
-from rfpp.model.lit_cells import LitCells
+from rfpp.model.lit_cells import LitCells, Reflectance
 from rfpp.model.precision import in_float32
 from rfpp.model.tokenizer import SceneTokens
 from rfpp.model.transport import Bounces, Transported, UnconstrainedTransport
@@ -23,12 +24,13 @@ HIGHEST_ALBEDO = 0.98
 
 
 class LinearTransport(nn.Module):
-    """L⁽ᵏ⁺¹⁾ = ρ ∘ (E + A L⁽ᵏ⁾) between the cells of a scene, K times.
+    """I⁽ᵏ⁺¹⁾ = E + A ρ I⁽ᵏ⁾ + B ρ I⁽ᵏ⁻¹⁾ between the cells of a scene, K times: I is light that arrives.
 
-    Not in the paper, whose operator T moves features; here T = ρ ∘ A is a matrix. The scene tokens look at each other
-    first. A is the softmax, over the cells of a scene and what escapes, of log(form factor) plus a correction that is
-    learned from tokens and bounded: an unbounded one closes early in training, and stays closed. Of the specular
-    albedo a learned share counts, for light leaves cells as if they were dull.
+    Not in the paper, whose operator T moves features; here it is a matrix. The scene tokens look at each other first.
+    A is the softmax, over the cells of a scene and what escapes, of log(form factor) plus a correction that is learned
+    from tokens and bounded: an unbounded one closes early in training, and stays closed. B is light that comes by way
+    of a glossy lobe, one bounce more (`GlossyBounce`). What leaves from there leaves as if all were dull, but of the
+    specular albedo a learned share counts.
 
     Args:
         encoder: between scene tokens.
@@ -65,7 +67,7 @@ class LinearTransport(nn.Module):
         return Transported(lit[self.iterations], states[1:], divergence_from_rays)
 
     def each(self, tokens: SceneTokens, count: int) -> tuple[list[SceneTokens], Bounces]:
-        """The tokens with ⁽ᵏ⁾L on their cells, k = 0 … `count`, and these."""
+        """The tokens with ⁽ᵏ⁾I on their cells, k = 0 … `count`, and these."""
         lit, states, _ = self._each(tokens, count)
         return lit, Bounces(torch.zeros_like(states[0]), states)
 
@@ -75,16 +77,20 @@ class LinearTransport(nn.Module):
         tokens, cells = told_apart(self.encoder(told_apart(tokens)).tokens), tokens.cells
         features = self.cell_features(tokens, cells)
         with in_float32(features):
-            couplings, reflectance = self._operator(features.float(), cells)
-            start = reflectance * self.irradiance(cells, couplings)
-            states = light_after(start, reflectance, couplings, cells, count)
-        lit = [replace(tokens, cells=LitCells(cells, features, start, light)) for light in states]
+            reflectance, couplings, bounce = self._operator(features.float(), cells)
+            first = self.irradiance(cells, couplings)
+            states = light_after(first, bounce, count)
+        before = (torch.zeros_like(first), *states)
+        lit = [
+            replace(tokens, cells=LitCells(cells, features, reflectance, first, now, earlier))
+            for now, earlier in zip(states, before, strict=False)
+        ]
         return lit, states, couplings
 
     def _operator(
         self, features: Float[Tensor, "c width"], cells: PackedCells
-    ) -> tuple[Float[Tensor, "b longest longest"], Float[Tensor, "c 3"]]:
-        """A of every scene, padded, and ρ of every cell."""
+    ) -> tuple[Reflectance, Float[Tensor, "b longest longest"], DullBounce]:
+        """ρ of every cell; A of every scene, padded; what they do to light."""
         projected = F.linear(features, self.corrections.weight.float())
         query, key, escape, shine = projected.split([self.rank, self.rank, 1, 1], dim=-1)
         seen, escaping = self.form_factors(cells)
@@ -92,29 +98,12 @@ class LinearTransport(nn.Module):
         weight = seen * self._gain(score)
         sink = escaping * self._gain(cells.padded(escape)[..., 0])
         couplings = weight / (weight.sum(-1) + sink).clamp_min(1e-12)[..., None]
-        reflectance = (cells.diffuse + cells.specular * self._gain(shine)).clamp(max=HIGHEST_ALBEDO)
-        return couplings, reflectance
+        dull = cells.diffuse + cells.specular * self._gain(shine)
+        reflectance = Reflectance(cells.diffuse, cells.specular, dull).bounded(HIGHEST_ALBEDO)
+        return reflectance, couplings, self.form_factors.bounce(cells, couplings, reflectance, seen)
 
     def _gain(self, score: Tensor) -> Tensor:
         return torch.exp(self.bound * torch.tanh(score))
-
-
-def light_after(
-    start: Float[Tensor, "c 3"],
-    reflectance: Float[Tensor, "c 3"],
-    couplings: Float[Tensor, "b longest longest"],
-    cells: PackedCells,
-    count: int,
-) -> tuple[Float[Tensor, "c 3"], ...]:
-    """⁽⁰⁾L = `start`, ⁽¹⁾L … of `count` applications: ⁽ᵏ⁺¹⁾L = ⁽⁰⁾L + ρ ∘ A ⁽ᵏ⁾L.
-
-    Args:
-        couplings: A of every scene, padded.
-    """
-    states = [start]
-    for _ in range(count):
-        states.append(start + reflectance * cells.packed(couplings @ cells.padded(states[-1])))
-    return tuple(states)
 
 
 def told_apart(tokens: SceneTokens) -> SceneTokens:

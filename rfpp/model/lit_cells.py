@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Float, Int
@@ -12,23 +12,51 @@ from rfpp.packed_cells import PackedCells
 
 
 @dataclass(frozen=True)
+class Reflectance:
+    """What cells send on of the light that arrives.
+
+    Attributes:
+        diffuse: [C, 3] to all sides.
+        specular: [C, 3] back along rays, of what their lobe sees.
+        dull: [C, 3] to all sides, where nobody asks for directions.
+    """
+
+    diffuse: Float[Tensor, "c 3"]
+    specular: Float[Tensor, "c 3"]
+    dull: Float[Tensor, "c 3"]
+
+    def bounded(self, highest: float) -> Reflectance:
+        """With no sum of diffuse and specular, nor dull, above `highest`."""
+        over = highest / (self.diffuse + self.specular).clamp_min(highest)
+        return Reflectance(self.diffuse * over, self.specular * over, self.dull.clamp(max=highest))
+
+
+@dataclass(frozen=True)
 class LitCells:
-    """The cells of B scenes, packed, as light moves between them.
+    """The cells of B scenes, packed, as light moves between them. Light that arrives is irradiance / π.
 
     Attributes:
         cells: what they are.
         features: [C, D] what the scene tokens say of each: of geometry and materials, never of light.
-        start: [C, 3] radiance ⁽⁰⁾L that leaves each before any of it has moved on.
-        light: [C, 3] radiance ⁽ᵏ⁾L that leaves each.
+        reflectance: of each.
+        first: [C, 3] light ⁽⁰⁾I that arrives straight from the emitters.
+        arriving: [C, 3] ⁽ᵏ⁾I, after at most k bounces.
+        before: [C, 3] ⁽ᵏ⁻¹⁾I.
     """
 
     cells: PackedCells
     features: Float[Tensor, "c width"]
-    start: Float[Tensor, "c 3"]
-    light: Float[Tensor, "c 3"]
+    reflectance: Reflectance
+    first: Float[Tensor, "c 3"]
+    arriving: Float[Tensor, "c 3"]
+    before: Float[Tensor, "c 3"]
 
     def rows(self, seen: Float[Tensor, "n rays h w"]) -> Int[Tensor, "n rays h w"]:
         """Cells that N views see, equally many of each scene, from numbers within the scene to rows; C for none."""
         starts = self.cells.scenes.offsets[:-1].long()
         first = starts.repeat_interleave(len(seen) // len(starts))[:, None, None, None]
         return torch.where(seen < 0, len(self.cells), seen.long() + first)
+
+    def beyond_first(self) -> LitCells:
+        """Without what leaves to all sides as the emitters light it."""
+        return replace(self, arriving=self.arriving - self.first)

@@ -6,13 +6,13 @@ import torch
 from torch import nn
 
 from rfpp.batch import RaggedBatch
+from rfpp.model.bounces import light_after
 from rfpp.model.cell_gathering import EvenGathering
 from rfpp.model.film import PixelFilter
 from rfpp.model.form_factors import CastFormFactors
 from rfpp.model.joint_window import JointWindow
 from rfpp.model.linear_decoder import KNOWN, radiance_of
-from rfpp.model.linear_transport import light_after
-from rfpp.model.lit_cells import LitCells
+from rfpp.model.lit_cells import LitCells, Reflectance
 from rfpp.model.renderformer_pp import Rendering
 from rfpp.model.view_channels import ViewChannels
 from rfpp.model.view_decoder import means, repeated
@@ -22,7 +22,7 @@ from rfpp.radiance import log_encode
 class UnlearnedRadiosity(nn.Module):
     """Everything of a network that is linear in light but what it learns; to be read beside every learned result.
 
-    Surfaces count as dull between cells, and pixels gather what their rays bring.
+    Light passes between cells as their rays say, and pixels gather what theirs bring.
 
     Args:
         iterations: bounces between cells.
@@ -48,10 +48,13 @@ class UnlearnedRadiosity(nn.Module):
         cells, (scenes, views, _, *size) = batch.cells, batch.gbuffer.shape
         height, width = (points // supersampling for points in size)
         seen, _ = self.form_factors(cells)
-        reflectance = (cells.diffuse + cells.specular).clamp(max=1.0)
-        *_, light = states = light_after(reflectance * cells.arriving, reflectance, seen, cells, self.iterations)
-        lit = LitCells(cells, cells.area[:, None], states[0], light)
-        unit = torch.ones(scenes * views, device=light.device)
+        dull = cells.diffuse + cells.specular
+        reflectance = Reflectance(cells.diffuse, cells.specular, dull).bounded(1.0)
+        bounce = self.form_factors.bounce(cells, seen, reflectance, seen)
+        states = light_after(cells.arriving, bounce, self.iterations)
+        before = (torch.zeros_like(states[0]), *states)[self.iterations]
+        lit = LitCells(cells, cells.area[:, None], reflectance, states[0], states[-1], before)
+        unit = torch.ones(scenes * views, device=batch.gbuffer.device)
         of_points = ViewChannels(batch.gbuffer.flatten(0, 1), self.gbuffer_channels, unit)
         of_pixels = of_points.pooled(supersampling)
         gathered = self.gathering(of_pixels.linear(self.gathering.channels), lit)

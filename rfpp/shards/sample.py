@@ -24,6 +24,7 @@ from rfpp.gbuffer.first_hit import (
     CELL_RAYS,
     CHANNELS,
     DIRECT_CHANNELS,
+    HIGHLIGHTS,
     REFLECTION_CHANNELS,
     DirectLight,
     GBuffer,
@@ -31,9 +32,10 @@ from rfpp.gbuffer.first_hit import (
     SeenCells,
 )
 from rfpp.scene.triangles import SceneTriangles
+from rfpp.shards.whole import CELL_ENDS, require_whole_cells, require_whole_scene, require_whole_views
 
 #: Raised whenever a member, a dtype or a meaning changes; data of another version is refused, never guessed at.
-SCHEMA_VERSION = 6
+SCHEMA_VERSION = 7
 
 #: From the sample's number of views to the numbers of those wanted.
 ViewChoice = Callable[[int], Iterable[int]]
@@ -95,16 +97,16 @@ def encode(sample: SceneSample) -> dict[str, bytes]:
     for view, (image, gbuffer) in enumerate(zip(sample.images, sample.gbuffers, strict=True)):
         light = {"direct_diffuse": gbuffer.light.diffuse, "direct_glossy": gbuffer.light.glossy}
         reflection = {"reflected_light": gbuffer.reflection.light, "reflected_albedo": gbuffer.reflection.albedo}
-        for name, radiance in {"RGB": image, **light, **reflection}.items():
+        for name, radiance in {"RGB": image, **light, **reflection, HIGHLIGHTS: gbuffer.cells.highlights}.items():
             _require_half_range(radiance, f"{sample.key}: view {view}: {name}")
         surface = {
             "normal": gbuffer.normal.astype(np.float16),
             "depth": gbuffer.depth.astype(np.float32),
             "triangle": (gbuffer.triangle + 1).astype(np.uint32),
         }
-        seen = {"diffuse_cells": gbuffer.cells.diffuse, "glossy_cells": gbuffer.cells.glossy}
-        rays = {f"{name}{ray}": cells[..., ray] for name, cells in seen.items() for ray in range(CELL_RAYS)}
-        members[_CELLS.format(view)] = encode_exr({name: (cell + 1).astype(np.uint32) for name, cell in rays.items()})
+        rays = {f"{name}{ray}": of[..., ray] for name, of in gbuffer.cells.rays.items() for ray in range(CELL_RAYS)}
+        seen = {name: (cell + 1).astype(np.uint32) for name, cell in rays.items()}
+        members[_CELLS.format(view)] = encode_exr(seen | {HIGHLIGHTS: gbuffer.cells.highlights.astype(np.float16)})
         members[_IMAGE.format(view)] = encode_exr({"RGB": image.astype(np.float16)})
         members[_SURFACE.format(view)] = encode_exr(surface)
         for member, layers in ((_LIGHT, light), (_REFLECTION, reflection)):
@@ -138,7 +140,7 @@ def decode(
         geometry = load_arrays(members["geometry.safetensors"])
         cameras = load_arrays(members["cameras.safetensors"])
         stored = load_arrays(members["cells.safetensors"])
-        cells = Cells(**(stored | {"hits": stored["hits"].astype(np.int32)}))
+        cells = Cells(**(stored | {name: stored[name].astype(np.int32) for name in CELL_ENDS}))
         views = list((choose or range)(len(cameras["fov"])))
 
         def layers(name: str, view: int) -> dict[str, np.ndarray]:
@@ -152,15 +154,18 @@ def decode(
             object_offsets=geometry["object_offsets"],
             object_names=tuple(meta.pop("objects")),
         )
-        _require_whole(triangles, geometry["object_light"], cameras)
-        _require_whole_cells(cells, triangles)
+        require_whole_scene(triangles, geometry["object_light"], cameras)
+        require_whole_cells(cells, triangles)
+        images = np.stack([layers(_IMAGE, view)["RGB"] for view in views]).astype(np.float32)
+        gbuffers = tuple(_gbuffer(partial(layers, view=view), channels) for view in views)
+        require_whole_views(images, gbuffers, len(triangles), len(cells))
         return SceneSample(
             key=key,
             triangles=triangles,
             c2w=cameras["c2w"][views],
             fov=cameras["fov"][views],
-            images=np.stack([layers(_IMAGE, view)["RGB"] for view in views]).astype(np.float32),
-            gbuffers=tuple(_gbuffer(partial(layers, view=view), channels) for view in views),
+            images=images,
+            gbuffers=gbuffers,
             object_light=geometry["object_light"],
             cells=cells,
             meta=meta,
@@ -169,35 +174,6 @@ def decode(
         raise ShardError(f"{key}: {error} is missing from the sample: generate its shard again") from error
     except (SafetensorError, ImageFileError, ValueError, TypeError, IndexError, RecursionError) as error:
         raise ShardError(f"{key}: a member is damaged ({error}): generate its shard again") from error
-
-
-def _require_whole(triangles: SceneTriangles, object_light: np.ndarray, cameras: Mapping[str, np.ndarray]) -> None:
-    """Raises ValueError where arrays do not fit each other."""
-    count, sizes, names = len(triangles), np.diff(triangles.object_offsets), triangles.object_names
-    if triangles.positions.shape != (count, 3, 3) or triangles.normals.shape != (count, 3, 3):
-        raise ValueError("positions and normals are not of as many triangles")
-    if triangles.material.shape != (count, 10):
-        raise ValueError("material is not of as many triangles or objects")
-    if triangles.object_offsets[0] != 0 or sizes.min(initial=0) < 0 or sizes.sum() != count:
-        raise ValueError("object_offsets do not end at the number of triangles")
-    if len(names) != len(sizes) or not all(isinstance(name, str) for name in names):
-        raise ValueError("meta.json does not name every object")
-    if object_light.shape != (len(sizes), 3):
-        raise ValueError("object_light is not of as many objects")
-    if cameras["c2w"].shape != (*cameras["fov"].shape, 4, 4):
-        raise ValueError("c2w is not of as many views as fov")
-
-
-def _require_whole_cells(cells: Cells, triangles: SceneTriangles) -> None:
-    """Raises ValueError where arrays do not fit each other."""
-    count = len(cells)
-    if any(len(array) != count for array in parts(cells).values()):
-        raise ValueError("cells' arrays are not of as many cells")
-    octants, hits = cells.octant, cells.hits
-    if count and (octants.min() < 0 or octants.max() >= 8 * triangles.num_objects):
-        raise ValueError("cells are of other objects")
-    if count and (hits.min() < -1 or hits.max() >= count):
-        raise ValueError("cells see others than there are")
 
 
 def _gbuffer(layers: Callable[[str], Mapping[str, np.ndarray]], channels: Collection[str]) -> GBuffer:
@@ -216,19 +192,19 @@ def _gbuffer(layers: Callable[[str], Mapping[str, np.ndarray]], channels: Collec
         depth=surface["depth"],
         light=part(DirectLight, _LIGHT, DIRECT_CHANNELS),
         reflection=part(Reflection, _REFLECTION, REFLECTION_CHANNELS),
-        cells=None if set(CELL_CHANNELS).isdisjoint(channels) else _seen_cells(layers(_CELLS)),
+        cells=None if {*CELL_CHANNELS, HIGHLIGHTS}.isdisjoint(channels) else _seen_cells(layers(_CELLS)),
     )
 
 
 def _seen_cells(layers: Mapping[str, np.ndarray]) -> SeenCells:
     """From the layers of the rays, by their names."""
     rays = (np.stack([layers[f"{name}{ray}"] for ray in range(CELL_RAYS)], axis=-1) for name in CELL_CHANNELS)
-    return SeenCells(*(cells.astype(np.int32) - 1 for cells in rays))
+    return SeenCells(*(cells.astype(np.int32) - 1 for cells in rays), layers[HIGHLIGHTS].astype(np.float32))
 
 
 def _stored(name: str, of_cells: np.ndarray) -> np.ndarray:
     """An array of `Cells`: where rays end in as few bytes as hold it, and they are most of all."""
-    small = name == "hits" and len(of_cells) < np.iinfo(np.int16).max
+    small = name in CELL_ENDS and len(of_cells) < np.iinfo(np.int16).max
     return np.ascontiguousarray(of_cells, dtype=np.int16 if small else of_cells.dtype)
 
 

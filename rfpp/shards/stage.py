@@ -72,4 +72,4 @@ class Stage:
     ) -> GBuffer:
         lit = self.lit(self.first_hit(c2w, fov, resolution), c2w, fov, samples, seed)
         lit = with_reflection(lit, c2w, fov, self._lights, samples, seed)
-        return with_cells(lit, c2w, fov, self.triangles, self._lights.caster, self._cells[1], seed=seed)
+        return with_cells(lit, c2w, fov, self._lights, self._cells[1], seed=seed)

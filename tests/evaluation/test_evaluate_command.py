@@ -13,7 +13,8 @@ from omegaconf import OmegaConf
 from launch.evaluate import main
 from rfpp.entry import CONFIG_DIR
 from rfpp.evaluation.evaluation_file import Evaluation
-from rfpp.inference.checkpoint import CHECKPOINT_KEY, NETWORK_PREFIX, build
+from rfpp.inference.building import build
+from rfpp.inference.checkpoint import CHECKPOINT_KEY, NETWORK_PREFIX
 from rfpp.shards.manifest import Manifest
 
 

@@ -9,6 +9,8 @@ from rfpp.gbuffer.cells import NOWHERE
 from rfpp.gbuffer.first_hit import CELL_RAYS, SeenCells, first_hit
 from rfpp.gbuffer.gathering import with_cells
 from rfpp.gbuffer.light_sampler import LightSampler
+from rfpp.gbuffer.ray_ends import surface_at
+from rfpp.gbuffer.raycast import Hits
 from rfpp.scene.triangles import SceneTriangles
 
 FOV, SIDE = 40.0, 32
@@ -19,7 +21,7 @@ def seen_by(scene: SceneTriangles, camera: np.ndarray, points: int = 1, seed: in
     sampler = LightSampler(scene)
     cells, places = find_cells(sampler)
     gbuffer = first_hit(scene, camera, FOV, points * SIDE, points * SIDE)
-    seen = with_cells(gbuffer, camera, FOV, scene, sampler.caster, places, points, seed).cells
+    seen = with_cells(gbuffer, camera, FOV, sampler, places, points, seed).cells
     return seen, np.append(cells.octant // 8, NOWHERE)
 
 
@@ -57,7 +59,7 @@ def test_points_of_a_pixel_share_its_rays():
     whole, owner = seen_by(scene, camera)
     finer, _ = seen_by(scene, camera, points=2)
     assert finer.diffuse.shape == (2 * SIDE, 2 * SIDE, CELL_RAYS)
-    for lobe in (finer.diffuse, finer.glossy):
+    for lobe in (*finer.rays.values(), finer.highlights):
         np.testing.assert_array_equal(lobe[::2, ::2], lobe[1::2, 1::2])
     shares = [(owner[cells.diffuse] == 1).mean() for cells in (whole, finer)]
     assert shares[0] == pytest.approx(shares[1], rel=0.15) and shares[0] > 0.01
@@ -68,3 +70,37 @@ def test_the_same_seed_gives_the_same_rays():
     first, again, other = (seen_by(scene, look_at((0, -1.5, 0.8)), seed=seed)[0].diffuse for seed in (1, 1, 2))
     np.testing.assert_array_equal(first, again)
     assert (first != other).any()
+
+
+def above(specular: float, emission: float = 200.0) -> SceneTriangles:
+    """A dull floor, a rough surface of the same size over it, and a lamp that lights both from the side."""
+    over = (square(1.0, z=0.4), material(0.0, specular=specular, roughness=1.0))
+    return pack(
+        (square(1.0), material(0.5)), over, (square(0.2) + np.array([1.5, 0, 0.2]), material(emission=emission))
+    )
+
+
+def test_what_a_shiny_surface_throws_on_is_seen_beyond_it():
+    """A floor sees itself in what shines above it, and nothing in a surface that does not."""
+    camera = look_at((0, 0, 0.3), (0, 0, 0), (0, 1, 0))
+    for specular, itself in ((1.0, True), (0.0, False)):
+        seen, owner = seen_by(above(specular), camera)
+        on_it = owner[seen.diffuse] == 1
+        assert (owner[seen.diffuse_onward[on_it]] == 0).any() == itself
+        assert (seen.diffuse_onward[~on_it] == NOWHERE).all()
+
+
+def test_highlights_are_linear_in_light_and_only_on_what_shines():
+    camera = look_at((0, 0, 0.3), (0, 0, 0), (0, 1, 0))
+    once, twice, dull = (seen_by(above(*of), camera)[0].highlights for of in ((0.8,), (0.8, 400.0), (0.0,)))
+    assert once.max() > 0 and not dull.any()
+    np.testing.assert_allclose(twice, 2 * once, rtol=1e-5)
+
+
+def test_surfaces_that_touch_are_not_seen_from_where_they_touch():
+    lamp = (square(0.2) + np.array([1.5, 0, 0]), material(emission=1))
+    scene = pack((square(1.0), material(0.2, specular=0.5)), lamp)
+    origin, way = np.zeros((2, 3)), np.array([[0, 0, -1.0]] * 2)
+    hits = Hits(np.int32([0, 0]), np.float32([[1, 0, 0]] * 2), np.float32([0, 0.5]))
+    rows, surface = surface_at(LightSampler(scene), origin, way, hits)
+    assert rows.tolist() == [1] and np.isfinite(surface.view).all()

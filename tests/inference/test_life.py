@@ -53,8 +53,10 @@ def test_and_not_in_one_that_does_not():
 def test_without_transport_nothing_is_transported():
     net = network("+experiment=quickstart")
     batch = batch_for(net)
+    batch = replace(batch, cells=replace(batch.cells, specular=torch.zeros_like(batch.cells.specular)))
     still = impaired(net, batch, donated(net, batch))[NO_TRANSPORT]
-    bright = replace(batch, cells=replace(batch.cells, hits=torch.full_like(batch.cells.hits, -1)))
+    blind = replace(batch.cells, hits=torch.full_like(batch.cells.hits, -1), highlights=0 * batch.cells.highlights)
+    bright = replace(batch, cells=blind)
     torch.testing.assert_close(still, net(bright).log_radiance)  # cells that see none send on the first bounce alone
 
 

@@ -37,6 +37,21 @@ def test_every_camera_gets_a_finite_non_negative_image(renderer, scene):
     assert images.std() > 0
 
 
+def test_a_picture_that_is_not_finite_is_an_error_that_says_why(scene):
+    diverged = network()
+    with torch.no_grad():
+        next(diverged.decoder.parameters())[:] = torch.nan
+    with pytest.raises(UserError, match=r"view 0: 256 of 256 pixels are not finite: .* training diverged"):
+        Renderer(diverged, checkpoint_info()).render(scene)
+
+
+def test_and_so_is_one_of_a_scene_that_overflows(scene, monkeypatch):
+    bright = Renderer(network(), checkpoint_info())
+    monkeypatch.setattr(bright, "_decode", lambda *args: np.full((16, 16, 3), np.inf, np.float32))
+    with pytest.raises(UserError, match=r"pixels are not finite: its lights, its sizes"):
+        bright.render(scene)
+
+
 def test_any_resolution_that_divides_into_patches(renderer, scene):
     assert renderer.render(scene, 24).shape == (3, 24, 24, 3)
     assert renderer.render(scene, (8, 20)).shape == (3, 8, 20, 3)

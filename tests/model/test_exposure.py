@@ -9,7 +9,7 @@ from networks import network
 from random_scenes import random_views
 
 from rfpp.batch import RaggedBatch, SceneViews
-from rfpp.gbuffer.first_hit import LIGHT_CHANNELS
+from rfpp.gbuffer.first_hit import DIRECT_CHANNELS
 from rfpp.model.exposure import ArrivingLight, UnitExposure
 from rfpp.model.ray_bundle import CameraOrigin
 from rfpp.scene.triangles import EMISSION, SceneTriangles
@@ -111,7 +111,7 @@ def with_brighter_lights(views: SceneViews, factor: float) -> SceneViews:
 def test_brighter_lights_make_the_image_brighter_by_the_same(factor):
     net = network(*KNOWN_LIGHT)
     net.decoder.ray_position = CameraOrigin()  # whose position would otherwise be the last channel
-    assert net.gbuffer_channels[4:7] == LIGHT_CHANNELS
+    assert net.gbuffer_channels[4:7] == (*DIRECT_CHANNELS, "reflected_light")
     views = random_views(np.random.default_rng(3), (12, 6, 1, 1), channels=22)
 
     def radiance(sample):

@@ -18,7 +18,7 @@ VARIANTS = {
     "known_light": ("+experiment=quickstart", "model=known_light"),
     "linear": ("+experiment=quickstart",),
 }
-MOST_CHANNELS = 40
+MOST_CHANNELS = sum(CHANNELS.values())
 
 
 @pytest.fixture(params=VARIANTS.values(), ids=VARIANTS.keys())

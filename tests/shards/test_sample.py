@@ -93,6 +93,24 @@ def test_missing_damaged_and_foreign_members_are_named(sample):
         decode(sample.key, {**members, "meta.json": foreign})
 
 
+@pytest.mark.parametrize(
+    ("part", "message"),
+    [
+        ({"triangle": np.full((12, 12), 999_999, np.int32)}, "a view sees other triangles"),
+        ({"normal": np.zeros((9, 9, 3), np.float32), "depth": np.zeros((9, 9), np.float32),
+          "triangle": np.full((9, 9), -1, np.int32)}, "a view's layers are of different sizes"),
+        ({"cells": {"diffuse": np.full((12, 12, 4), 60_000, np.int32)}}, "a view sees other cells"),
+        ({"cells": {"glossy_onward": np.full((12, 12, 4), 60_000, np.int32)}}, "a view sees other cells"),
+    ],
+)  # fmt: skip
+def test_what_does_not_fit_together_is_refused_however_sound_its_bytes_are(sample, part, message):
+    first = sample.gbuffers[0]
+    change = {name: replace(first.cells, **x) if name == "cells" else x for name, x in part.items()}
+    wrong = replace(sample, gbuffers=(replace(first, **change), *sample.gbuffers[1:]))
+    with pytest.raises(ShardError, match=f"train-000001: a member is damaged .{message}"):
+        decode(sample.key, encode(wrong))
+
+
 def test_only_what_is_asked_for_is_decoded(sample):
     members = encode(sample)
     whole = decode(sample.key, members)
