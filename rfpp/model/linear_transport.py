@@ -29,8 +29,7 @@ class LinearTransport(nn.Module):
     Not in the paper, whose operator T moves features; here it is a matrix. The scene tokens look at each other first.
     A is the softmax, over the cells of a scene and what escapes, of log(form factor) plus a correction that is learned
     from tokens and bounded: an unbounded one closes early in training, and stays closed. B is light that comes by way
-    of a glossy lobe, one bounce more (`GlossyBounce`). What leaves from there leaves as if all were dull, but of the
-    specular albedo a learned share counts.
+    of a glossy lobe, one bounce more (`GlossyBounce`). What leaves from there leaves as if all were dull.
 
     Args:
         encoder: between scene tokens.
@@ -55,9 +54,8 @@ class LinearTransport(nn.Module):
     ):
         super().__init__()
         self.encoder, self.cell_features = encoder, CellFeatures(width, hidden)
-        self.corrections = nn.Linear(width, 2 * rank + 2, bias=False)
-        nn.init.zeros_(self.corrections.weight[rank : 2 * rank])  # starts as the form factors are
-        nn.init.zeros_(self.corrections.weight[2 * rank :])
+        self.corrections = nn.Linear(width, 2 * rank + 1, bias=False)
+        nn.init.zeros_(self.corrections.weight[rank:])  # starts as the form factors are
         self.rank, self.bound, self.iterations = rank, bound, iterations
         self.form_factors, self.irradiance = form_factors, irradiance
 
@@ -92,14 +90,13 @@ class LinearTransport(nn.Module):
     ) -> tuple[Reflectance, Float[Tensor, "b longest longest"], DullBounce]:
         """ρ of every cell; A of every scene, padded; what they do to light."""
         projected = F.linear(features, self.corrections.weight.float())
-        query, key, escape, shine = projected.split([self.rank, self.rank, 1, 1], dim=-1)
+        query, key, escape = projected.split([self.rank, self.rank, 1], dim=-1)
         seen, escaping = self.form_factors(cells)
         score = cells.padded(query) @ cells.padded(key).transpose(1, 2) / self.rank**0.5
         weight = seen * self._gain(score)
         sink = escaping * self._gain(cells.padded(escape)[..., 0])
         couplings = weight / (weight.sum(-1) + sink).clamp_min(1e-12)[..., None]
-        dull = cells.diffuse + cells.specular * self._gain(shine)
-        reflectance = Reflectance(cells.diffuse, cells.specular, dull).bounded(HIGHEST_ALBEDO)
+        reflectance = Reflectance(cells.diffuse, cells.specular).bounded(HIGHEST_ALBEDO)
         return reflectance, couplings, self.form_factors.bounce(cells, couplings, reflectance, seen)
 
     def _gain(self, score: Tensor) -> Tensor:

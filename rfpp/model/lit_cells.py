@@ -18,17 +18,20 @@ class Reflectance:
     Attributes:
         diffuse: [C, 3] to all sides.
         specular: [C, 3] back along rays, of what their lobe sees.
-        dull: [C, 3] to all sides, where nobody asks for directions.
     """
 
     diffuse: Float[Tensor, "c 3"]
     specular: Float[Tensor, "c 3"]
-    dull: Float[Tensor, "c 3"]
+
+    @property
+    def dull(self) -> Float[Tensor, "c 3"]:
+        """To all sides, where nobody asks for directions."""
+        return self.diffuse + self.specular
 
     def bounded(self, highest: float) -> Reflectance:
-        """With no sum of diffuse and specular, nor dull, above `highest`."""
-        over = highest / (self.diffuse + self.specular).clamp_min(highest)
-        return Reflectance(self.diffuse * over, self.specular * over, self.dull.clamp(max=highest))
+        """With no sum of both above `highest`."""
+        within = highest / self.dull.clamp_min(highest)
+        return Reflectance(self.diffuse * within, self.specular * within)
 
 
 @dataclass(frozen=True)

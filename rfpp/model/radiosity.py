@@ -48,8 +48,7 @@ class UnlearnedRadiosity(nn.Module):
         cells, (scenes, views, _, *size) = batch.cells, batch.gbuffer.shape
         height, width = (points // supersampling for points in size)
         seen, _ = self.form_factors(cells)
-        dull = cells.diffuse + cells.specular
-        reflectance = Reflectance(cells.diffuse, cells.specular, dull).bounded(1.0)
+        reflectance = Reflectance(cells.diffuse, cells.specular).bounded(1.0)
         bounce = self.form_factors.bounce(cells, seen, reflectance, seen)
         states = light_after(cells.arriving, bounce, self.iterations)
         before = (torch.zeros_like(states[0]), *states)[self.iterations]

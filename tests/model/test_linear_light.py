@@ -125,7 +125,7 @@ def test_in_a_closed_box_light_is_the_geometric_series(albedo, share):
     seen, escaping = (factors := CastFormFactors())(cells)
     assert not escaping.any()
     dull = torch.full_like(specular, albedo)
-    reflectance = Reflectance(dull - specular, specular, dull)
+    reflectance = Reflectance(dull - specular, specular)
     states = light_after(cells.arriving, factors.bounce(cells, seen, reflectance, seen), 40)
     for k, state in enumerate(states):
         expected = (1 - albedo ** (k + 1)) / (1 - albedo)
