@@ -25,6 +25,14 @@ def pytest_ignore_collect(collection_path, config):
     return None
 
 
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items):
+    """With `-n 2` a file's tests run in one process, for their fixtures; all that need the one Slurm, in one, too."""
+    for item in items:
+        file = item.nodeid.split("::")[0]
+        item.add_marker(pytest.mark.xdist_group("slurm" if "slurm" in item.fixturenames else file))
+
+
 @pytest.hookimpl(trylast=True)
 def pytest_sessionfinish(exitstatus):
     """A thread or a child that is waited for without end is named, and not waited for."""

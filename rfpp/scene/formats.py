@@ -14,7 +14,16 @@ from rfpp.errors import SceneError
 from rfpp.scene.files import as_file_name, write_atomically
 from rfpp.scene.mesh import Mesh, decimated, load_mesh, save_mesh
 from rfpp.scene.spec import Camera, Material, Scene, SceneObject, Strict, Transform
-from rfpp.scene.untrusted import MAX_JSON_BYTES, MAX_PARTS, beside, one_line, parse_json, read_bytes, require_bounded
+from rfpp.scene.untrusted import (
+    MAX_JSON_BYTES,
+    MAX_PARTS,
+    MAX_TRIANGLES,
+    beside,
+    one_line,
+    parse_json,
+    read_bytes,
+    require_bounded,
+)
 
 VERSION = "1.0"
 
@@ -52,7 +61,7 @@ def load_scene(path: Path) -> Scene:
         if entry.version != VERSION:
             raise SceneError(f"version: '{one_line(entry.version)}' cannot be read, only '{VERSION}': convert the file")
         _require_printable(entry.scene_name)
-        meshes: dict[Path, Mesh] = {}
+        meshes = _Meshes()
         objects = tuple(_object(name, values, path.parent, meshes) for name, values in entry.objects.items())
         require_bounded(sum(len(item.mesh) for item in objects))
         return Scene(name=entry.scene_name, objects=objects, cameras=tuple(_cameras(entry.cameras)))
@@ -104,17 +113,36 @@ def _save_meshes(meshes: list[Mesh], names: list[str], scene_path: Path) -> list
     return paths
 
 
-def _object(name: str, values: dict[str, Any], folder: Path, meshes: dict[Path, Mesh]) -> SceneObject:
+class _Meshes:
+    """The meshes of one scene: each file is read once, and reduced once for each number of faces."""
+
+    def __init__(self) -> None:
+        self._meshes: dict[tuple[Path, int | None], Mesh] = {}
+        self._before = 0
+
+    def get(self, path: Path, target_faces: int | None) -> Mesh:
+        """The mesh, of at most so many faces. Raises SceneError as `load_mesh`, or for more reductions than are made."""
+        if (path, None) not in self._meshes:
+            self._meshes[path, None] = load_mesh(path)
+        mesh = self._meshes[path, None]
+        if target_faces is None or len(mesh) <= target_faces:
+            return mesh
+        if (path, target_faces) not in self._meshes:
+            self._before += len(mesh)
+            if self._before > MAX_TRIANGLES:
+                raise SceneError(f"meshes of more than {MAX_TRIANGLES:,} faces together are to be reduced: save them "
+                                 "reduced, or give copies of one mesh the same remesh_target_face_num")  # fmt: skip
+            self._meshes[path, target_faces] = decimated(mesh, target_faces)
+        return self._meshes[path, target_faces]
+
+
+def _object(name: str, values: dict[str, Any], folder: Path, meshes: _Meshes) -> SceneObject:
     with _located(f"object '{one_line(name)}'"):
         _require_printable(name)
         entry = _ObjectEntry(**values)
-        mesh_path = beside(folder, entry.mesh_path)
-        if mesh_path not in meshes:
-            meshes[mesh_path] = load_mesh(mesh_path)
-        mesh = meshes[mesh_path]
         return SceneObject(
             name=name,
-            mesh=decimated(mesh, entry.remesh_target_face_num) if entry.remesh else mesh,
+            mesh=meshes.get(beside(folder, entry.mesh_path), entry.remesh_target_face_num if entry.remesh else None),
             material=Material(**entry.material),
             transform=Transform(**entry.transform),
         )

@@ -14,6 +14,7 @@ from rfpp.reference.farm import RenderFarm
 from rfpp.shards.index import SampleEntry
 from rfpp.shards.manifest import ListedShard, Manifest
 from rfpp.shards.sample import decode
+from rfpp.shards.tar import END_OF_ARCHIVE
 
 
 def verify(root: Path, farm: RenderFarm, progress: Callable[[int, int], None]) -> list[str]:
@@ -52,6 +53,8 @@ class ShardCheck:
         except ShardError as error:
             return [str(error)]
         problems = [problem for entry in index.samples if (problem := self._problem(path, listed, entry))]
+        if not problems and sum(entry.size for entry in index.samples) + len(END_OF_ARCHIVE) != listed.bytes:
+            problems.append(f"{path}: its index does not list all that it holds: {listed.remedy}")
         if not problems and _sha256(path) != listed.sha256:
             problems.append(f"{path}: has another sha256 than in the manifest: {listed.remedy}")
         return problems

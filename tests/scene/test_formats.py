@@ -13,8 +13,9 @@ import pytest
 import trimesh
 
 from rfpp.errors import SceneError, UserError
+from rfpp.scene import formats
 from rfpp.scene.formats import load_scene
-from rfpp.scene.mesh import Mesh
+from rfpp.scene.mesh import Mesh, decimated
 from rfpp.scene.spec import Camera, Material, Scene, SceneObject, Transform
 from rfpp.scene.triangles import SceneTriangles
 
@@ -83,6 +84,22 @@ def test_a_mesh_behind_a_link_is_found(folder: Path) -> None:
     (folder / "inner").mkdir()
     (folder / "inner" / "ball.obj").symlink_to(folder / "ball.obj")
     assert len(Scene.load(write(folder / "inner", PLAIN)).objects[0].mesh) == 1280
+
+
+def test_copies_of_a_mesh_are_reduced_once_and_too_many_reductions_are_refused(folder: Path, monkeypatch) -> None:
+    calls = []
+    monkeypatch.setattr(formats, "decimated", lambda mesh, target: calls.append(target) or decimated(mesh, target))
+
+    def of_targets(*targets: int) -> Path:
+        ball = PLAIN["objects"]["ball"] | {"remesh": True}
+        balls = {f"ball {i}": ball | {"remesh_target_face_num": target} for i, target in enumerate(targets)}
+        return write(folder, changed(lambda c: c.update(objects=balls)))
+
+    assert len(Scene.load(of_targets(200, 200, 300, 200)).objects) == 4
+    assert calls == [200, 300]
+    monkeypatch.setattr(formats, "MAX_TRIANGLES", 3000)
+    with pytest.raises(SceneError, match=r"scene.json: object 'ball 2': meshes of more than 3,000 faces"):
+        Scene.load(of_targets(200, 300, 400))
 
 
 @pytest.mark.parametrize(("target", "most"), [({}, 1280), ({"remesh_target_face_num": 200}, 200)])

@@ -1,5 +1,8 @@
 """Verifying a data set: all that is broken is listed."""
 
+import hashlib
+import json
+
 from rfpp.reference.farm import RenderFarm
 from rfpp.shards.manifest import Manifest
 from rfpp.shards.verification import verify
@@ -32,3 +35,16 @@ def test_verify_lists_all_that_is_broken(copied):
     for problem, words in zip(problems, expected, strict=True):
         assert words in problem
         assert "launch/generate.py" in problem
+
+
+def test_an_index_that_leaves_a_sample_out_is_found_though_every_hash_is_right(copied):
+    index = copied / "train-00000.json"
+    content = json.loads(index.read_text())
+    content["samples"] = content["samples"][:-1]
+    index.write_text(json.dumps(content))
+    manifest = json.loads((copied / "manifest.json").read_text())
+    manifest["splits"]["train"][0]["index_sha256"] = hashlib.sha256(index.read_bytes()).hexdigest()
+    (copied / "manifest.json").write_text(json.dumps(manifest))
+    with RenderFarm(1) as farm:
+        (problem,) = verify(copied, farm, lambda done, total: None)
+    assert "train-00000.tar: its index does not list all" in problem

@@ -23,6 +23,7 @@ from rfpp.scene.readers.mtl import ObjMaterial, read_mtl
 from rfpp.scene.untrusted import MAX_TEXT_BYTES, beside, lines_of, one_line, read_bytes, require_bounded
 
 _FLAT_COSINE = math.cos(math.radians(1))
+_MAX_LIBRARIES = 100
 _WIDTHS = {b"v": 3, b"vt": 2, b"vn": 3}
 
 
@@ -57,6 +58,7 @@ class _Reader:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.arrays = {key: array("d") for key in _WIDTHS}
+        self.libraries: set[Path] = set()
         self.materials: dict[str, ObjMaterial] = {}
         self.textures = Textures()
         self.groups: dict[tuple[str, str], _Group] = {}
@@ -84,7 +86,11 @@ class _Reader:
         elif key == b"mtllib":
             self.names_materials = True
             path = beside(self.folder, _text(line))
-            self.materials |= read_mtl(path)
+            if path not in self.libraries:
+                if len(self.libraries) == _MAX_LIBRARIES:
+                    raise SceneError(f"more than {_MAX_LIBRARIES} MTL files: join them")
+                self.libraries.add(path)
+                self.materials |= read_mtl(path)
 
     def parts(self, path: Path) -> list[Part]:
         vertices, coordinates, normals = (

@@ -8,7 +8,9 @@ from PIL import Image
 
 from rfpp import Scene
 from rfpp.errors import SceneError
+from rfpp.scene.readers import wavefront
 from rfpp.scene.readers.imported import ImportedScene
+from rfpp.scene.readers.mtl import read_mtl
 from rfpp.scene.readers.wavefront import read_obj
 from rfpp.scene.triangles import DIFFUSE, EMISSION
 
@@ -59,6 +61,17 @@ def test_polygons_become_fans_and_comments_nothing(tmp_path: Path) -> None:
 )
 def test_materials_are_mapped_as_documented(mtl: str, expected: list, tmp_path: Path) -> None:
     np.testing.assert_allclose(row(tmp_path, mtl)[:7], expected, atol=1e-6)
+
+
+def test_a_library_is_read_once_and_only_so_many_are(tmp_path: Path, monkeypatch) -> None:
+    files = []
+    monkeypatch.setattr(wavefront, "read_mtl", lambda path: files.append(path) or read_mtl(path))
+    read(tmp_path, "mtllib my materials.mtl\n" * 3000 + SQUARE + "usemtl it\nf 1 2 3 4\n", "newmtl it\n")
+    assert len(files) == 1
+    for i in range(101):
+        (tmp_path / f"{i}.mtl").write_text("newmtl it\n")
+    with pytest.raises(SceneError, match="line 101: more than 100 MTL files"):
+        read(tmp_path, "".join(f"mtllib {i}.mtl\n" for i in range(101)))
 
 
 def test_emission_is_radiance(tmp_path: Path) -> None:
