@@ -67,8 +67,10 @@ def read_header(content: bytes) -> Header:
                     order = {"binary_little_endian": "<", "binary_big_endian": ">"}[form]
                 case ["element", name, count]:
                     elements.append(Element(name, int(count), order))
-                case ["property", "list", length, kind, name]:
+                case ["property", "list", length, kind, name] if not length.startswith(("float", "double")):
                     elements[-1].properties.append(_Property(name, _dtype(order, kind), _dtype(order, length)))
+                case ["property", "list", *_]:
+                    raise ValueError  # no list has half an entry more, or infinitely many
                 case ["property", kind, name]:
                     elements[-1].properties.append(_Property(name, _dtype(order, kind)))
         except (KeyError, ValueError, IndexError, TypeError):

@@ -102,6 +102,10 @@ REFUSED = {
     "long_text.ply": (pyramid("ascii").replace(b"4 0 3 2 1", b"999999999999999999999"), "a row of 'face' is damaged"),
     "no_header.ply": (b"ply\nformat ascii 1.0\n", "not a PLY file with a whole header"),
     "type.ply": (pyramid("ascii").replace(b"float x", b"string x"), "its header says 'property string x'"),
+    "length.ply": (
+        pyramid("ascii").replace(b"list uchar", b"list float"),
+        "its header says 'property list float",
+    ),
     "format.ply": (pyramid("ascii").replace(b"ascii", b"gzip"), "its header says 'format gzip 1.0'"),
     "empty_rows.ply": (
         b"ply\nformat binary_little_endian 1.0\nelement face 999999999\nend_header\n", "claims 999,999,999 of 'face'"
