@@ -16,6 +16,7 @@ from rfpp.batch import RaggedBatch, SceneViews
 from rfpp.errors import SceneError, UserError
 from rfpp.inference.checkpoint import CHECKPOINT_KEY, CheckpointInfo, load_network
 from rfpp.inference.gbuffers import GBufferSource
+from rfpp.inference.memory import require_memory
 from rfpp.inference.model_card import model_card
 from rfpp.inference.model_folder import write_folder
 from rfpp.inference.object_encoder import ObjectEncoder
@@ -116,7 +117,8 @@ class Renderer:
 
         Raises:
             SceneError: there is no camera.
-            UserError: the resolution does not divide into the network's patches, or there are no samples.
+            UserError: the resolution does not divide into the network's patches or takes more memory than there is, or
+                there are no samples.
         """
         return np.stack(list(self.views(scene, resolution, cameras, light_samples, supersampling)))
 
@@ -143,6 +145,7 @@ class Renderer:
         if min(light_samples, supersampling) < 1:
             raise UserError(f"light_samples={light_samples}, supersampling={supersampling}: give 1 or more of each")
         points = supersampling if self.network.shades_points else 1
+        require_memory(height, width, points)
         samples = max(1, round(light_samples / points**2))
         gbuffers = self._gbuffers.of(packed, height, width, samples, points)
         return self._views(packed, gbuffers, points, transports)

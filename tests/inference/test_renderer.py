@@ -2,6 +2,7 @@
 
 from concurrent.futures import ThreadPoolExecutor
 from threading import Event
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -50,6 +51,13 @@ def test_and_so_is_one_of_a_scene_that_overflows(scene, monkeypatch):
     monkeypatch.setattr(bright, "_decode", lambda *args: np.full((16, 16, 3), np.inf, np.float32))
     with pytest.raises(UserError, match=r"pixels are not finite: its lights, its sizes"):
         bright.render(scene)
+
+
+@pytest.mark.parametrize("resolution", [20_000, 1_000_000])
+def test_an_image_that_no_memory_holds_is_refused_before_a_ray_is_cast(renderer, scene, resolution, monkeypatch):
+    monkeypatch.setattr("psutil.virtual_memory", lambda: SimpleNamespace(available=2**34))
+    with pytest.raises(UserError, match=rf"resolution {resolution} x {resolution}: takes about [\d,]+ GB of memory"):
+        renderer.render(scene, resolution)
 
 
 def test_any_resolution_that_divides_into_patches(renderer, scene):
