@@ -121,7 +121,7 @@ class _Meshes:
         self._before = 0
 
     def get(self, path: Path, target_faces: int | None) -> Mesh:
-        """The mesh, of at most so many faces. Raises SceneError as `load_mesh`, or for more reductions than are made."""
+        """The mesh, of at most so many faces. Raises SceneError: unreadable, or more to reduce than is reduced."""
         if (path, None) not in self._meshes:
             self._meshes[path, None] = load_mesh(path)
         mesh = self._meshes[path, None]
