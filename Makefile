@@ -1,5 +1,6 @@
 # make quickstart     data → training → evaluation → pictures, on a laptop CPU
 # make test           the test suite
+# make fuzz           thousands of damaged and hostile files, and what became of them, in data/results/fuzz.csv
 # make check          style, import contracts
 # Each makes its own virtual environment first. PYTHON=/path/to/python3.11 names another interpreter.
 VENV ?= .venv
@@ -7,7 +8,7 @@ RUN := $(VENV)/bin/python
 EXPERIMENT := +experiment=quickstart
 LATEST := data/runs/quickstart/latest
 
-.PHONY: help quickstart test check install
+.PHONY: help quickstart test fuzz check install
 .DEFAULT_GOAL := help
 
 help:
@@ -34,6 +35,9 @@ quickstart: install
 
 test: install
 	$(RUN) -m pytest
+
+fuzz: install
+	FUZZ=1000 FUZZ_TABLE=data/results/fuzz.csv $(RUN) -m pytest tests/fuzz
 
 check: install
 	$(VENV)/bin/ruff check .

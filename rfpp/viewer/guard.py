@@ -27,10 +27,14 @@ def refusal(host: str | None, origin: str | None) -> str | None:
     Args:
         host, origin: its headers of these names. Only browsers send the second, and all do where it matters.
     """
-    name = urlsplit(f"//{host}").hostname if host else None
+    try:
+        name = urlsplit(f"//{host}").hostname if host else None
+        theirs = urlsplit(origin).netloc if origin is not None else host
+    except ValueError:  # no address at all
+        name = theirs = None
     if name is None or not _is_ours(name):
         return f"This viewer is not known as '{host}': open it by this machine's name or address."
-    if origin is not None and urlsplit(origin).netloc != host:
+    if theirs != host:
         return f"A page of '{origin}' may not use this viewer."
     return None
 

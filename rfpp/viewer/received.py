@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import math
+from collections.abc import Sequence
 from typing import Any
 
 #: Positions and the like, in world units or degrees: nothing that is looked at lies beyond.
@@ -21,15 +21,22 @@ def choice(dropdown: Any) -> str:
 
 def vector(handle: Any) -> tuple[float | int, float | int, float | int]:
     """Of three numbers: finite ones."""
-    x, y, z = (_within(value, -_FARTHEST, _FARTHEST) for value in handle.value)
+    x, y, z = (_within(value, -_FARTHEST, _FARTHEST) for value in _three(handle.value))
     return x, y, z
 
 
 def colour(picker: Any) -> tuple[int, int, int]:
     """Of a colour picker: 0 to 255."""
-    red, green, blue = (round(_within(value, 0, 255)) for value in picker.value)
+    red, green, blue = (round(_within(value, 0, 255)) for value in _three(picker.value))
     return red, green, blue
 
 
-def _within(value: float | int, low: float | int, high: float | int) -> float | int:
-    return low if math.isnan(value) else min(max(value, low), high)
+def _three(value: Any) -> Sequence[Any]:
+    return value if isinstance(value, list | tuple) and len(value) == 3 else (0, 0, 0)
+
+
+def _within(value: Any, low: float | int, high: float | int) -> float | int:
+    """The number within these ends; the lower one for what is none."""
+    if not isinstance(value, int | float) or value != value:  # NaN; of a huge integer `math.isnan` makes an error
+        return low
+    return min(max(value, low), high)

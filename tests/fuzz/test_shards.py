@@ -1,14 +1,15 @@
 """Whatever the bytes of a shard: a sample, or a ShardError that names what is damaged, soon."""
 
-import hashlib
 import json
 import os
 from collections.abc import Callable
+from hashlib import sha256
 from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from fuzzing import attempt, fuzzed
+from hypothesis import given
 from hypothesis import strategies as st
 from mutations import JSON_VALUES, altered, damaged, dumped
 from safetensors.numpy import load as load_arrays
@@ -16,27 +17,28 @@ from safetensors.numpy import save as save_arrays
 from stored_sample import stored_sample
 
 from rfpp.errors import ShardError
-from rfpp.shards.index import SampleEntry, Shard
+from rfpp.shards.index import SampleEntry, Shard, ShardIndex
 from rfpp.shards.manifest import MANIFEST_FILE, Manifest
 from rfpp.shards.sample import SceneSample, decode, encode
 from rfpp.shards.stream import ShardSplit
 from rfpp.shards.tar import pack
 
-pytestmark = pytest.mark.timeout(120)
+pytestmark = pytest.mark.timeout(36_000)  # of thousands
 
-fuzzed = settings(max_examples=150, derandomize=True, deadline=None)
 MEMBERS = encode(stored_sample(resolution=8))
 BLOCKS = pack("train-000001", MEMBERS)
 
 
-def refused(read: Callable[[], SceneSample | Manifest]) -> str | None:
-    """The message of a ShardError, or None for a sample that is whole."""
-    try:
-        result = read()
-    except ShardError as error:
-        return str(error)
-    if isinstance(result, SceneSample):
-        require_whole(result)
+def refused(read: Callable[[], SceneSample | Manifest | ShardIndex], kind: str = "samples") -> str | None:
+    """The message of a ShardError, or None for what is whole."""
+    with attempt(kind) as one:
+        try:
+            result = read()
+        except ShardError as error:
+            return str(error)
+        if isinstance(result, SceneSample):
+            require_whole(result)
+        one.taken = True
     return None
 
 
@@ -80,7 +82,7 @@ def test_damage_that_the_hash_agrees_with_is_named(tmp_path_factory, content: by
     """A shard that was damaged before it was listed."""
     path = Path(tmp_path_factory.getbasetemp()) / "train-00000.tar"
     path.write_bytes(content)
-    digest = hashlib.sha256(content).hexdigest()
+    digest = sha256(content).hexdigest()
     shard = Shard(path.name, len(content), digest, "fingerprint")
     entry = SampleEntry("train-000001", 0, len(content), digest, 1, 1, 0, 0, 0)
     descriptor = os.open(path, os.O_RDONLY)
@@ -129,5 +131,28 @@ def test_an_altered_manifest_is_named(finished, tmp_path_factory, data: st.DataO
     folder = tmp_path_factory.getbasetemp() / "fuzzed_manifest"
     folder.mkdir(exist_ok=True)
     (folder / MANIFEST_FILE).write_bytes(dumped(data.draw(altered(content))))
-    refusal = refused(lambda: Manifest.load(folder))
+    refusal = refused(lambda: Manifest.load(folder), "manifests")
     assert refusal is None or MANIFEST_FILE in refusal
+
+
+@fuzzed
+@given(data=st.data())
+def test_an_altered_index_is_named(finished, tmp_path_factory, data: st.DataObject) -> None:
+    """Whose hash the manifest has, as a stranger's would be."""
+    listed = finished.shards("train")[0]
+    folder = tmp_path_factory.getbasetemp() / "fuzzed_index"
+    folder.mkdir(exist_ok=True)
+    if not (folder / listed.file).exists():
+        os.link(finished.root / listed.file, folder / listed.file)
+    content = dumped(data.draw(altered(json.loads((finished.root / listed.index_file).read_bytes()))))
+    (folder / listed.index_file).write_bytes(content)
+    manifest = json.loads((finished.root / MANIFEST_FILE).read_bytes())
+    manifest["splits"] = {"train": [{**manifest["splits"]["train"][0], "index_sha256": sha256(content).hexdigest()}]}
+    (folder / MANIFEST_FILE).write_bytes(dumped(manifest))
+
+    def first() -> SceneSample | ShardIndex:
+        split = ShardSplit(folder, "train")
+        return split[0] if len(split) else split.manifest.index(split.manifest.shards("train")[0])
+
+    refusal = refused(first, "indices")
+    assert refusal is None or "train-00000" in refusal

@@ -1,0 +1,26 @@
+# docker build -t rfpp .
+# docker run --rm -v "$PWD:/work" rfpp render scene=chair.glb
+# docker run --rm --gpus all --ipc=host -v "$PWD:/work" rfpp train +experiment=quickstart
+# For a CPU alone, of a tenth the size: --build-arg PIP_EXTRA_INDEX_URL=https://download.pytorch.org/whl/cpu
+# Another base, Debian or Ubuntu with Python 3.11 to be had: --build-arg BASE=nvidia/cuda:12.8.1-runtime-ubuntu22.04
+ARG BASE=python:3.11-slim-bookworm
+FROM ${BASE}
+
+# The libraries that Blender's Python module needs and no wheel carries.
+RUN apt-get update \
+    && apt-get install -y --no-install-recommends \
+        libxrender1 libxfixes3 libxi6 libxkbcommon0 libsm6 libgl1 \
+        $(command -v python3.11 >/dev/null || echo python3.11 python3.11-venv) \
+    && rm -rf /var/lib/apt/lists/*
+
+RUN python3.11 -m venv /opt/venv
+ENV PATH=/opt/venv/bin:$PATH
+
+ARG PIP_EXTRA_INDEX_URL
+COPY . /opt/rfpp
+RUN pip install --no-cache-dir -c /opt/rfpp/requirements.lock '/opt/rfpp[all]'
+
+# Runs, shards and renders go below the folder that it is started in: mount one of yours here.
+WORKDIR /work
+ENTRYPOINT ["rfpp"]
+CMD ["--help"]
