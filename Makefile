@@ -1,5 +1,5 @@
 # make quickstart     data → training → evaluation → pictures, on a laptop CPU
-# make test           the test suite
+# make test           the test suite, in two processes
 # make fuzz           thousands of damaged and hostile files, and what became of them, in data/results/fuzz.csv
 # make check          style, import contracts
 # Each makes its own virtual environment first. PYTHON=/path/to/python3.11 names another interpreter.
@@ -34,7 +34,7 @@ quickstart: install
 	@echo "Render more     $(RUN) launch/render.py scene=data/scenes/roughness_spheres.json checkpoint=$(LATEST)/checkpoints/best.ckpt"
 
 test: install
-	$(RUN) -m pytest
+	$(RUN) -m pytest -n 2 --dist loadgroup --durations=60
 
 fuzz: install
 	FUZZ=1000 FUZZ_TABLE=data/results/fuzz.csv $(RUN) -m pytest tests/fuzz
