@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 from dataclasses import dataclass, replace
+from hashlib import blake2b
 from pathlib import Path
 
 import numpy as np
@@ -76,11 +77,11 @@ class CleanScene:
 
 
 def clean_scene(split: ShardSplit, index: int, folder: Path) -> CleanScene:
-    """The scene at `index` of a split; its rays are cast once and kept in `folder`."""
+    """The scene at `index` of a split; its rays are cast once and kept in `folder`, for all sets that have it."""
     sample = split.read(index, None, ())
-    file = folder / f"{split.manifest.hash}-{sample.key}.npz"
     scene = PackedScene(sample.key, sample.triangles, sample.c2w, sample.fov)
     height, width = sample.images.shape[1:3]
+    file = folder / f"{_digest(scene, height, width)}.npz"
     source = GBufferSource(tuple(CHANNELS))
     cells = source.known_of_scene(sample.triangles, ("cells",))["cells"]
     if file.exists():
@@ -130,6 +131,14 @@ def known_finely(scene: PackedScene, height: int, width: int) -> Float[np.ndarra
         albedo, specular, diffuse, glossy, reflected = channels
         lobes.append(_FILM(means(torch.stack([albedo * diffuse, specular * (glossy + reflected)]), FINE_POINTS)))
     return torch.stack(lobes, dim=1).numpy()
+
+
+def _digest(scene: PackedScene, height: int, width: int) -> str:
+    of = scene.triangles
+    digest = blake2b(repr((height, width)).encode(), digest_size=16)
+    for array in (of.positions, of.normals, of.material, of.object_offsets, scene.c2w, scene.fov):
+        digest.update(np.ascontiguousarray(array))
+    return digest.hexdigest()
 
 
 def _write(file: Path, arrays: dict[str, np.ndarray]) -> None:
