@@ -6,14 +6,13 @@ python launch/evaluate.py +experiment=quickstart checkpoint=[a/checkpoints/best.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import torch
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from rfpp.entry import entry_point
 from rfpp.errors import UserError
@@ -35,6 +34,7 @@ from rfpp.inference.checkpoint import load_network
 from rfpp.metrics.image import ImageMetrics
 from rfpp.metrics.lpips import LPIPS
 from rfpp.model.radiosity import UnlearnedRadiosity
+from rfpp.progress import stages
 from rfpp.shards.stream import ShardSplit
 from rfpp.training.config_file import write_config
 from rfpp.training.tracking.registry import checkpoint_file
@@ -58,13 +58,13 @@ def main(cfg: DictConfig) -> list[Evaluation]:
     metrics = ImageMetrics(lpips, cfg.evaluation.detailed)
     baselines = fitted_baselines(ShardSplit(cfg.data.root, "train", cache), cfg.evaluation.baseline_scenes)
     beside = []
-    with _bar(console) as bar:
+    radiosity = UnlearnedRadiosity().to(device)
+    with stages(console) as stage:
         for split in splits:
-            beside += baseline_records(baselines, split, metrics, device, _task(bar, split, "baselines"))
-            radiosity = UnlearnedRadiosity().to(device)
-            beside += network_records(
-                radiosity, split, metrics, device, _task(bar, split, radiosity.name), predictor=radiosity.name
-            )
+            count = stage(f"{split.split}, baselines", len(split))
+            beside += baseline_records(baselines, split, metrics, device, count)
+            count = stage(f"{split.split}, {radiosity.name}", len(split))
+            beside += network_records(radiosity, split, metrics, device, count, predictor=radiosity.name)
     return [_evaluate(cfg, *item, splits, metrics, beside, device, console) for item in outputs.items()]
 
 
@@ -96,9 +96,9 @@ def _evaluate(
         console.print(f"Note: {checkpoint} was trained on another data set than {cfg.data.root}.", style="yellow")
 
     images, panels, pictures, life = [], [], {}, {}
-    with _bar(console) as bar:
+    with stages(console) as stage:
         for split in splits:
-            mine = network_records(network, split, metrics, device, _task(bar, split, "model"))
+            mine = network_records(network, split, metrics, device, stage(f"{split.split}, model", len(split)))
             life[split.split] = signs_of_life(network, split, device, cfg.evaluation.life_scenes)
             scenes = scene_records(mine)
             shown = pictured_scenes(scenes, cfg.evaluation.pictured_scenes)
@@ -123,16 +123,6 @@ def _evaluate(
     console.print(f"Per image, per scene, summary, buckets and panels: {output}", soft_wrap=True)
     console.print(log_to_training_run(info, evaluation, [*files, report]), soft_wrap=True)
     return evaluation
-
-
-def _bar(console: Console) -> Progress:
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    return Progress(*columns, console=console)
-
-
-def _task(bar: Progress, split: ShardSplit, what: str) -> Callable[[], None]:
-    task = bar.add_task(f"{split.split}, {what}", total=len(split))
-    return lambda: bar.advance(task)
 
 
 if __name__ == "__main__":

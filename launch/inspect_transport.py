@@ -11,12 +11,12 @@ import torch
 from hydra.utils import instantiate
 from omegaconf import DictConfig
 from rich.console import Console
-from rich.progress import Progress
 
 from rfpp.entry import entry_point, required
 from rfpp.evaluation.transport import trace_transport
 from rfpp.evaluation.transport_report import write_transport_report
 from rfpp.inference.checkpoint import load_network
+from rfpp.progress import stages
 from rfpp.shards.stream import ShardSplit
 
 
@@ -28,10 +28,9 @@ def main(cfg: DictConfig) -> Path:
     device = torch.device(cfg.device or ("cuda" if torch.cuda.is_available() else "cpu"))
     output = Path(cfg.output) if cfg.output else Path(cfg.checkpoint).parents[1] / "transport"
     split = ShardSplit(cfg.data.root, cfg.split, instantiate(cfg.datamodule.cache))
-    with Progress(*Progress.get_default_columns(), console=console) as bar:
-        task = bar.add_task("Scenes", total=len(split))
+    with stages(console) as stage:
         network.to(device)
-        trace = trace_transport(network, split, cfg.applications, cfg.shown, device, lambda: bar.advance(task))
+        trace = trace_transport(network, split, cfg.applications, cfg.shown, device, stage("scenes", len(split)))
     title = f"{len(split)} scenes of {cfg.data.root}, split {cfg.split}"
     *_, page = write_transport_report(trace, info, title, output)
     console.print(f"Report: {page}")

@@ -14,7 +14,6 @@ import torch
 from hydra.utils import instantiate
 from omegaconf import DictConfig
 from rich.console import Console
-from rich.progress import Progress
 from rich.table import Table
 
 from rfpp.entry import entry_point
@@ -24,6 +23,7 @@ from rfpp.inference.checkpoint import load_network
 from rfpp.inference.precision import matrix_dtype
 from rfpp.model.linear_transport import LinearTransport
 from rfpp.model.radiosity import UnlearnedRadiosity
+from rfpp.progress import stages
 from rfpp.shards.stream import ShardSplit
 from rfpp.training.tracking.description import code_version, hardware
 
@@ -47,9 +47,8 @@ def main(cfg: DictConfig) -> Path:
     device = torch.device("cpu")
     dtype = matrix_dtype("auto", device)
     autocast = partial(torch.autocast, "cpu", dtype, enabled=dtype != torch.float32)
-    with Progress(*Progress.get_default_columns(), console=console) as bar:
-        task = bar.add_task("Scenes", total=len(split))
-        errors = measure(predictors, split, Path(cfg.clean), autocast, lambda: bar.advance(task))
+    with stages(console) as stage:
+        errors = measure(predictors, split, Path(cfg.clean), autocast, stage("scenes", len(split)))
     about = {"commit": (code_version() or "")[:12], "hardware": hardware(device)}
     about |= {"data": split.manifest.name, "manifest": split.manifest.hash[:12]}
     about |= {"bounces": "" if cfg.bounces is None else cfg.bounces}

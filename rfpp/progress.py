@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
@@ -49,6 +50,32 @@ def counting(console: Console, things: str, each: int = 1) -> Iterator[tuple[Cal
                 lines(done * each, total * each)
 
         yield show, count
+
+
+@contextmanager
+def stages(console: Console) -> Iterator[Callable[[str, int], Callable[[], None]]]:
+    """Bars for the stages of one work: yields `stage(name, total)`, which gives what is called after each thing done.
+
+    Where no bar can be shown, a line a minute.
+    """
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console) as progress:
+
+        def stage(name: str, total: int) -> Callable[[], None]:
+            task = progress.add_task(name, total=total)
+            lines = None if console.is_terminal else ProgressLines(f"{name}:", console.print)
+            done = itertools.count(1)
+
+            def one_more() -> None:
+                progress.update(task, completed=(so_far := next(done)))
+                if lines:
+                    lines(so_far, total)
+
+            if lines:
+                lines(0, total)
+            return one_more
+
+        yield stage
 
 
 class _PerSecond(ProgressColumn):

@@ -4,7 +4,7 @@ import io
 
 from rich.console import Console
 
-from rfpp.progress import counting
+from rfpp.progress import counting, stages
 from rfpp.progress_lines import ProgressLines
 
 
@@ -44,3 +44,14 @@ def test_files_get_lines_and_terminals_a_bar():
             for done in range(13):
                 show(done, 20)
         assert ("images 10 of 20" in output.getvalue()) != terminal
+
+
+def test_stages_of_one_work_have_lines_of_their_own():
+    output = io.StringIO()
+    with stages(Console(file=output, width=200)) as stage:
+        for name in ("test, model", "test, baselines"):
+            count = stage(name, 32)
+            for _ in range(32):
+                count()
+    assert "test, model: 10 of 32, " in output.getvalue()
+    assert "test, baselines: 10 of 32, " in output.getvalue()
