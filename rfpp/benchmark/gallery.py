@@ -3,78 +3,21 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import SupportsFloat
 
 import numpy as np
 import torch
 
-from rfpp.errors import UserError
+from rfpp.benchmark.exhibits import Drawn, Stored
 from rfpp.inference.references import path_traced
 from rfpp.inference.renderer import Renderer
 from rfpp.metrics.flip import flip
 from rfpp.metrics.image import log_l1
 from rfpp.panels import error_map, panel, save_png, tone_mapped
 from rfpp.reference.cycles import CyclesSettings
-from rfpp.scene.packed import PackedScene, pack
-from rfpp.scene.spec import Scene
-from rfpp.shards.job import SceneSource
 
 Row = dict[str, str | int | float]
-
-
-@dataclass(frozen=True)
-class Stored:
-    """A scene file, seen by one of its cameras.
-
-    Attributes:
-        title: what the gallery calls it.
-        path: what `Scene.load` reads.
-        camera: number of one of its cameras.
-        moved: name of an object → its translation, where it is another than in the file.
-    """
-
-    title: str
-    path: Path | str
-    camera: int = 0
-    moved: Mapping[str, Sequence[SupportsFloat]] = field(default_factory=dict)
-
-    def scene(self) -> PackedScene:
-        """Raises UserError: `moved` names no object of the file; SceneError: see `Scene.load`."""
-        scene = Scene.load(self.path)
-        if unknown := set(self.moved) - {item.name for item in scene.objects}:
-            raise UserError(f"{self.path}: has no object '{min(unknown)}' to move: correct the gallery's `moved`")
-        objects = tuple(
-            item
-            if item.name not in self.moved
-            else item.model_copy(
-                update={"transform": item.transform.model_copy(update={"translation": tuple(self.moved[item.name])})}
-            )
-            for item in scene.objects
-        )
-        return pack(scene.model_copy(update={"objects": objects})).views([self.camera])
-
-
-@dataclass(frozen=True)
-class Drawn:
-    """A test scene of a family.
-
-    Attributes:
-        title: what the gallery calls it.
-        family: where it is drawn.
-        seed: of the draw.
-    """
-
-    title: str
-    family: SceneSource
-    seed: int
-
-    def scene(self) -> PackedScene:
-        """Seen by its first camera."""
-        rngs = (np.random.default_rng([self.seed, stream]) for stream in range(2))
-        return pack(self.family.sample(*rngs, held_out=True)).views([0])
 
 
 def measure(

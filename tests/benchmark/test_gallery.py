@@ -8,7 +8,8 @@ from networks import checkpoint_info, network
 from PIL import Image
 from small_data import BoxFamily
 
-from rfpp.benchmark.gallery import Drawn, Stored, measure
+from rfpp.benchmark.exhibits import Drawn, Stored
+from rfpp.benchmark.gallery import measure
 from rfpp.errors import UserError
 from rfpp.inference.renderer import Renderer
 from rfpp.reference.cycles import CyclesSettings

@@ -1,0 +1,204 @@
+"""What the time buys: a trained network beside Cycles with few samples and its denoiser, which is what users have."""
+
+from __future__ import annotations
+
+import io
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from hashlib import blake2b
+from pathlib import Path
+from statistics import median
+
+import numpy as np
+import torch
+from jaxtyping import Float
+
+from rfpp.benchmark.exhibits import Drawn, Stored
+from rfpp.inference.references import Traced, path_traced
+from rfpp.inference.renderer import Renderer
+from rfpp.metrics.flicker import flicker
+from rfpp.metrics.flip import flip
+from rfpp.metrics.image import log_l1, ssim
+from rfpp.reference.cycles import CyclesSettings
+from rfpp.scene.files import write_atomically
+from rfpp.scene.packed import PackedScene
+from rfpp.scene.triangles import EMISSION
+
+Row = dict[str, str | int | float]
+Image = Float[np.ndarray, "h w 3"]
+#: Degrees about the vertical axis from a view to the next one, and from the first frame of a film to the last.
+_NEXT_VIEW, _ARC = 5.0, 12.0
+_NETWORK = "rfpp"
+
+
+@dataclass(frozen=True)
+class FilmSettings:
+    """Attributes:
+    frames: on an arc about the scene.
+    resolution: pixels.
+    samples: of its reference.
+    """
+
+    frames: int
+    resolution: int
+    samples: int
+
+
+@dataclass(frozen=True)
+class Taken:
+    """What one method makes of one scene.
+
+    Attributes:
+        first: picture of a scene that it has not seen before.
+        seconds: of the first picture, of the next view, and after one light was dimmed.
+    """
+
+    first: Image
+    seconds: tuple[float, float, float]
+
+
+def measure(
+    checkpoint: str,
+    exhibits: Sequence[Stored | Drawn],
+    resolution: int,
+    samples: Sequence[int],
+    rounds: int,
+    cycles: CyclesSettings,
+    converged: CyclesSettings,
+    film: FilmSettings,
+    kept: Path | str,
+    progress: Callable[[int, int], None],
+) -> Iterator[Row]:
+    """A row per scene and method: seconds, errors of the first picture, flicker of a film.
+
+    All are warm, and take turns; seconds are medians over the rounds.
+
+    Args:
+        checkpoint: see `rfpp.inference.checkpoint.load_network`.
+        samples: of Cycles' methods.
+        rounds: how often all are timed.
+        cycles: its settings but for the samples.
+        converged: those of the references.
+        kept: folder of references, which are rendered once.
+        progress: called with (turns taken, turns in all).
+    """
+    renderer, scenes = Renderer.load(checkpoint), [exhibit.scene() for exhibit in exhibits]
+    truths = [_reference(scene, resolution, converged, Path(kept))[0] for scene in scenes]
+    methods = {_NETWORK: lambda: _by_network(renderer, scenes, resolution)}
+    for count in samples:
+        settings = replace(cycles, samples=count)
+        methods[f"Cycles {count}"] = lambda settings=settings: _by_cycles(scenes, resolution, settings)
+    taken: dict[str, list[list[Taken]]] = {name: [] for name in methods}
+    turns = (rounds + 1) * len(methods)
+    for turn in range(rounds):
+        for number, (name, method) in enumerate(methods.items()):
+            taken[name].append(method())
+            progress(turn * len(methods) + number + 1, turns)
+    arcs = [orbit(scene, np.linspace(0, _ARC, film.frames)) for scene in scenes]
+    true_films = [
+        _reference(arc, film.resolution, replace(converged, samples=film.samples), Path(kept)) for arc in arcs
+    ]
+    for number, name in enumerate(methods):
+        count = samples[number - 1] if number else 0
+        films = _films(renderer, arcs, film.resolution, replace(cycles, samples=count) if count else None)
+        for place, (exhibit, truth, true_film) in enumerate(zip(exhibits, truths, true_films, strict=True)):
+            of_scene, (frames, seconds) = [turn[place] for turn in taken[name]], films[place]
+            first, view, edit = (median(times) for times in zip(*(one.seconds for one in of_scene), strict=True))
+            yield {
+                "scene": exhibit.title,
+                "method": name,
+                "samples": count,
+                "resolution": resolution,
+                "first_s": first,
+                "view_s": view,
+                "edit_s": edit,
+                **errors(of_scene[0].first, truth),
+                "frame_s": seconds / film.frames,
+                "flicker": flicker(frames, true_film),
+            }
+        progress(rounds * len(methods) + number + 1, turns)
+
+
+def errors(image: Image, truth: Image) -> Row:
+    """log-L1, ꟻLIP and SSIM of linear radiance."""
+    x, y = (torch.from_numpy(np.ascontiguousarray(one)).permute(2, 0, 1)[None] for one in (image, truth))
+    return {"log_l1": float(log_l1(x, y)), "flip": float(flip(image, truth).mean()), "ssim": float(ssim(x, y))}
+
+
+def orbit(scene: PackedScene, degrees: Sequence[float] | np.ndarray) -> PackedScene:
+    """Seen by its first camera, turned about the vertical axis through the origin by each of these angles."""
+    turned = []
+    for angle in np.radians(degrees):
+        turn = np.eye(4)
+        turn[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
+        turned.append(turn @ scene.c2w[0])
+    return replace(scene, c2w=np.stack(turned).astype(np.float32), fov=np.repeat(scene.fov[:1], len(turned)))
+
+
+def dimmed(scene: PackedScene) -> PackedScene:
+    """The scene with half the light of its first emitting object."""
+    triangles = scene.triangles
+    material, lamp = triangles.material.copy(), triangles.object_index[triangles.is_emissive][0]
+    material[triangles.object_index == lamp, EMISSION] *= 0.5
+    return replace(scene, triangles=replace(triangles, material=material))
+
+
+def _situations(scene: PackedScene) -> tuple[PackedScene, PackedScene, PackedScene]:
+    """New, from another side, edited."""
+    return scene, orbit(scene, [_NEXT_VIEW]), dimmed(scene)
+
+
+def _by_network(renderer: Renderer, scenes: Sequence[PackedScene], resolution: int) -> list[Taken]:
+    renderer.render(scenes[-1], resolution)  # wakes it up
+    taken = []
+    for scene in scenes:
+        fresh, images, seconds = _fresh(renderer), [], []
+        for situation in _situations(scene):
+            begin = time.perf_counter()
+            images.append(fresh.render(situation, resolution)[0])
+            seconds.append(time.perf_counter() - begin)
+        taken.append(Taken(images[0], tuple(seconds)))
+    return taken
+
+
+def _by_cycles(scenes: Sequence[PackedScene], resolution: int, settings: CyclesSettings) -> list[Taken]:
+    asked = [scenes[-1], *(situation for scene in scenes for situation in _situations(scene))]
+    [_, *traced] = path_traced(asked, (resolution, resolution), settings)  # the first wakes it up
+    by_scene = [traced[i : i + 3] for i in range(0, len(traced), 3)]
+    return [Taken(of_scene[0][0][0], tuple(seconds for _, seconds in of_scene)) for of_scene in by_scene]
+
+
+def _films(
+    renderer: Renderer, arcs: Sequence[PackedScene], resolution: int, cycles: CyclesSettings | None
+) -> list[Traced]:
+    """Frames of each arc, and their seconds together; by the network where no settings of Cycles are given."""
+    if cycles is not None:
+        [_, *traced] = path_traced([arcs[-1].views([0]), *arcs], (resolution, resolution), cycles)
+        return traced
+    films = []
+    for arc in arcs:
+        fresh, begin = _fresh(renderer), time.perf_counter()
+        films.append((fresh.render(arc, resolution), time.perf_counter() - begin))
+    return films
+
+
+def _fresh(renderer: Renderer) -> Renderer:
+    """One that has seen nothing yet."""
+    return Renderer(renderer.network, renderer.info, renderer.device, renderer.dtype)
+
+
+def _reference(
+    scene: PackedScene, resolution: int, settings: CyclesSettings, folder: Path
+) -> Float[np.ndarray, "v h w 3"]:
+    """From the folder, or rendered into it."""
+    digest = blake2b(f"{settings} {resolution}".encode(), digest_size=16)
+    for array in (scene.triangles.positions, scene.triangles.normals, scene.triangles.material, scene.c2w, scene.fov):
+        digest.update(np.ascontiguousarray(array))
+    file = folder / f"{digest.hexdigest()}.npy"
+    if not file.exists():
+        [(images, _)] = path_traced([scene], (resolution, resolution), settings)
+        stream = io.BytesIO()
+        np.save(stream, images)
+        write_atomically(file, stream.getvalue())
+    return np.load(file, allow_pickle=False)

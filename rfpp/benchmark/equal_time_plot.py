@@ -1,0 +1,77 @@
+"""Error over time of a network and of Cycles with few samples, from the CSV file of the benchmark.
+
+python -m rfpp.benchmark.equal_time_plot data/results/equal_time.csv     writes a picture beside it
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import io
+from collections.abc import Sequence
+from pathlib import Path
+
+import matplotlib
+
+matplotlib.use("Agg")  # files only: no window system is needed
+
+import matplotlib.pyplot as plt
+from matplotlib.axes import Axes
+
+from rfpp.errors import UserError
+from rfpp.scene.files import write_atomically
+
+#: Panel → the column of its seconds, and that of its errors.
+_PANELS = {
+    "a first picture": ("first_s", "log_l1"),
+    "the next view": ("view_s", "log_l1"),
+    "after an edit": ("edit_s", "log_l1"),
+    "a film's frame": ("frame_s", "flicker"),
+}
+_LABELS = {"log_l1": "log-L1", "flicker": "flicker"}
+
+
+def plot(file: Path) -> Path:
+    """A panel for each kind of picture: a line of Cycles for each scene, a star for the network; returns the PNG.
+
+    Raises UserError: the file cannot be read, or is not of this benchmark.
+    """
+    try:
+        rows = list(csv.DictReader(file.read_text(encoding="utf-8").splitlines()))
+        scenes = list(dict.fromkeys(row["scene"] for row in rows))
+        figure, panels = plt.subplots(1, len(_PANELS), figsize=(4.2 * len(_PANELS), 4), constrained_layout=True)
+        for panel, (title, columns) in zip(panels, _PANELS.items(), strict=True):
+            _draw(panel, rows, scenes, *columns)
+            panel.set_title(title)
+    except (OSError, KeyError, ValueError) as error:
+        raise UserError(f"{file}: not a table of benchmark=equal_time ({error}): measure it first") from None
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=4, fontsize=8)
+    stream = io.BytesIO()
+    figure.savefig(stream, dpi=110)
+    plt.close(figure)
+    return write_atomically(file.with_suffix(".png"), stream.getvalue())
+
+
+def _draw(panel: Axes, rows: Sequence[dict[str, str]], scenes: Sequence[str], seconds: str, error: str) -> None:
+    for scene, colour in zip(scenes, plt.get_cmap("tab10").colors, strict=False):
+        mine = [row for row in rows if row["scene"] == scene]
+        cycles = sorted((float(row[seconds]), float(row[error])) for row in mine if int(row["samples"]))
+        [ours] = [(float(row[seconds]), float(row[error])) for row in mine if not int(row["samples"])]
+        panel.plot(*zip(*cycles, strict=True), ".-", color=colour, linewidth=1, label=f"{scene}: Cycles, denoised")
+        panel.plot(*ours, "*", color=colour, markersize=13, label=f"{scene}: rfpp")
+    panel.set(xscale="log", yscale="log", xlabel="seconds", ylabel=_LABELS[error])
+    panel.grid(which="both", alpha=0.2)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """The command; `arguments` are those of the command line unless given."""
+    parser = argparse.ArgumentParser("python -m rfpp.benchmark.equal_time_plot", description=__doc__.splitlines()[0])
+    parser.add_argument("file", type=Path, help="CSV of launch/benchmark.py benchmark=equal_time")
+    try:
+        print(plot(parser.parse_args(arguments).file))
+    except UserError as error:
+        raise SystemExit(f"error: {error}") from None
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,91 @@
+"""A network beside Cycles with few samples: rows, references that are kept, and the plot."""
+
+import csv
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from edited_scenes import scene
+from marks import requires_blender
+from networks import checkpoint_info, network
+from PIL import Image
+from small_data import REFERENCE
+
+from rfpp.benchmark.equal_time import FilmSettings, dimmed, measure, orbit
+from rfpp.benchmark.equal_time_plot import main, plot
+from rfpp.benchmark.exhibits import Stored
+from rfpp.errors import UserError
+from rfpp.inference.renderer import Renderer
+from rfpp.scene.packed import pack
+from rfpp.scene.triangles import EMISSION
+
+
+def test_an_orbit_turns_the_camera_about_the_vertical_axis():
+    still = pack(scene()).views([0])
+    turned = orbit(still, [0.0, 90.0])
+    np.testing.assert_allclose(turned.c2w[0], still.c2w[0], atol=1e-6)
+    x, y, z = still.c2w[0][:3, 3]
+    np.testing.assert_allclose(turned.c2w[1][:3, 3], (-y, x, z), atol=1e-6)
+    assert turned.triangles is still.triangles
+
+
+def test_one_light_is_dimmed_and_nothing_else():
+    before = pack(scene())
+    after = dimmed(before)
+    halved = (after.triangles.material != before.triangles.material).any(1)
+    assert set(before.triangles.object_index[halved]) == {
+        before.triangles.object_index[before.triangles.is_emissive][0]
+    }
+    np.testing.assert_array_equal(
+        after.triangles.material[halved, EMISSION] * 2, before.triangles.material[halved, EMISSION]
+    )
+
+
+@requires_blender
+def test_a_row_for_each_scene_and_method_and_references_are_rendered_once(tmp_path, monkeypatch):
+    Renderer(network(), checkpoint_info()).save(tmp_path / "net")
+    path = scene().save(tmp_path / "six.json")
+    turns = []
+
+    def rows():
+        return list(
+            measure(
+                str(tmp_path / "net"),
+                [Stored("six", path)],
+                16,
+                [1, 8],
+                1,
+                REFERENCE,
+                replace(REFERENCE, samples=64, seed=1),
+                FilmSettings(frames=3, resolution=16, samples=2),
+                tmp_path / "kept",
+                lambda *turn: turns.append(turn),
+            )
+        )
+
+    measured = rows()
+    assert [(row["method"], row["samples"]) for row in measured] == [("rfpp", 0), ("Cycles 1", 1), ("Cycles 8", 8)]
+    assert turns == [(n, 6) for n in range(1, 7)]
+    assert all(row[name] > 0 for row in measured for name in ("first_s", "view_s", "edit_s", "frame_s"))
+    assert measured[2]["log_l1"] < measured[1]["log_l1"]  # more samples, less noise
+    assert measured[2]["ssim"] > measured[1]["ssim"]
+    kept = sorted((tmp_path / "kept").iterdir())
+    assert len(kept) == 2
+    before = [file.stat().st_mtime_ns for file in kept]
+    again = rows()
+    assert [file.stat().st_mtime_ns for file in kept] == before
+    assert again[1]["log_l1"] == measured[1]["log_l1"]
+    with (tmp_path / "equal_time.csv").open("w", newline="") as file:
+        writer = csv.DictWriter(file, measured[0])
+        writer.writeheader()
+        writer.writerows(measured)
+    assert Image.open(plot(tmp_path / "equal_time.csv")).size[0] > 1000
+
+
+def test_another_table_is_refused_in_a_line(tmp_path):
+    file = tmp_path / "gallery.csv"
+    file.write_text("scene,flip\na,1\n")
+    with pytest.raises(UserError, match="not a table of benchmark=equal_time"):
+        plot(file)
+    with pytest.raises(SystemExit, match=r"error: .*gallery.csv"):
+        main([str(file)])
