@@ -40,7 +40,7 @@ class Request(Strict):
         output: a folder, or the path of the EXR or MP4 file of a single scene.
         resolution: (height, width), or None for the network's.
         cameras: numbers, or None for all.
-        triangles, up: of `Scene.load`.
+        triangles, up, transparent: of `Scene.load`.
         layers: G-buffer channels for the EXR.
         exposure: stops.
         light_samples: shadow rays per light and pixel, and rays into reflections.
@@ -56,6 +56,7 @@ class Request(Strict):
     cameras: Annotated[tuple[Index, ...] | None, BeforeValidator(_listed)]
     triangles: Positive | None
     up: Literal["y", "z"] | None
+    transparent: Literal["opaque", "drop", "refuse"]
     layers: Annotated[tuple[str, ...], BeforeValidator(_listed)]
     exposure: Annotated[float, Field(ge=-64, le=64)]
     light_samples: Positive
@@ -95,7 +96,7 @@ class Request(Strict):
 
     def load(self, scene: Path) -> Scene | PackedScene:
         """One of the scenes."""
-        return Scene.load(scene, triangles=self.triangles, up=self.up)
+        return Scene.load(scene, triangles=self.triangles, up=self.up, transparent=self.transparent)
 
     def one_camera(self) -> int:
         """For a film; the first if none was asked for. Raises UserError for several."""

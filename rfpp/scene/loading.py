@@ -47,15 +47,19 @@ _MAX_FILES = 1000
 _MANY_TRIANGLES = 80_000  # the most that a training scene has
 
 
-def load_any(path: Path, triangles: int | None = None, up: str | None = None) -> Scene | PackedScene:
+def load_any(
+    path: Path, triangles: int | None = None, up: str | None = None, transparent: str = "opaque"
+) -> Scene | PackedScene:
     """See `Scene.load`."""
     if triangles is not None and triangles < 1:
         raise SceneError(f"triangles={triangles}: give at least 1")
     if up not in (None, "y", "z"):
         raise SceneError(f"up={up}: choose y or z")
+    if transparent not in ("opaque", "drop", "refuse"):
+        raise SceneError(f"transparent={transparent}: choose opaque, drop or refuse")
     suffix = path.suffix.lower()
     if path.is_dir() or suffix in _READERS:
-        scene = _imported(path, up)
+        scene = _imported(path, up, transparent)
         total = sum(len(item.mesh) for item in scene.objects)
         if triangles is None and total > _MANY_TRIANGLES:
             warnings.warn(
@@ -81,11 +85,12 @@ def load_any(path: Path, triangles: int | None = None, up: str | None = None) ->
     return scene
 
 
-def _imported(path: Path, up: str | None) -> Scene:
+def _imported(path: Path, up: str | None, transparent: str) -> Scene:
     try:
         scene = _folder(path, up) if path.is_dir() else _file(path, up)
         require_bounded(sum(map(len, scene.parts)), len(scene.parts))
-        scene = framed(replace(scene, parts=tuple(part for part in scene.parts if len(part))), path)
+        solid = tuple(part for part in _solid(scene, transparent, path) if len(part))
+        scene = framed(replace(scene, parts=solid), path)
         cameras = scene.cameras
         if not cameras:
             warnings.warn(f"{path}: it has no camera: one is added, in front and above", stacklevel=4)
@@ -94,6 +99,20 @@ def _imported(path: Path, up: str | None) -> Scene:
         return Scene(name=name_of(scene.name, "scene"), objects=objects, cameras=cameras)
     except SceneError as error:
         raise SceneError(f"{path}: {error}") from None
+
+
+def _solid(scene: ImportedScene, transparent: str, path: Path) -> tuple[Part, ...]:
+    """The parts, with those that light should pass through as opaque as the others, or without them."""
+    materials = list(dict.fromkeys(part.see_through for part in scene.parts if part.see_through))
+    if not materials:
+        return scene.parts
+    if transparent == "refuse":
+        raise SceneError(f"{materials[0]}: is transparent, which cannot be represented: make it opaque in the file, or "
+                         "load it with transparent=opaque or transparent=drop")  # fmt: skip
+    became = "opaque (transparent=drop leaves it out)" if transparent == "opaque" else "left out"
+    named = materials[0] + (f" and {len(materials) - 1} more transparent ones" if len(materials) > 1 else "")
+    warnings.warn(f"{path}: {named}: light cannot pass through a surface here, so it is {became}", stacklevel=5)
+    return tuple(part for part in scene.parts if transparent == "opaque" or not part.see_through)
 
 
 def _file(path: Path, up: str | None) -> ImportedScene:

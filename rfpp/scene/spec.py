@@ -177,7 +177,14 @@ class Scene(Strict):
 
     @classmethod
     @no_type_check  # PackedScene is built on this module, so its name cannot be known here at run time
-    def load(cls, path: str | Path, *, triangles: int | None = None, up: str | None = None) -> Scene | PackedScene:
+    def load(
+        cls,
+        path: str | Path,
+        *,
+        triangles: int | None = None,
+        up: str | None = None,
+        transparent: Literal["opaque", "drop", "refuse"] = "opaque",
+    ) -> Scene | PackedScene:
         """Read any scene.
 
         RenderFormer JSON v1.0 as it is, and its H5, which holds no objects and comes packed; glTF (.gltf, .glb), OBJ
@@ -188,13 +195,14 @@ class Scene(Strict):
         Args:
             triangles: a scene of more is decimated to so many.
             up: the axis that points up in OBJ (else y), PLY and STL files (else z); glTF says y.
+            transparent: what becomes of surfaces that light should pass through, which nothing here does.
 
         Raises:
             SceneError: naming the file, what is wrong or cannot be represented, and the fix.
         """
         from rfpp.scene.loading import load_any
 
-        return load_any(Path(path), triangles, up)
+        return load_any(Path(path), triangles, up, transparent)
 
     def save(self, path: str | Path) -> Path:
         """Write RenderFormer JSON v1.0 with the meshes as OBJ files beside it, or its H5 (.h5); returns the path.

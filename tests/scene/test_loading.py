@@ -9,6 +9,7 @@ import trimesh
 
 from rfpp import Scene
 from rfpp.errors import SceneError
+from rfpp.scene.mesh import Mesh, decimated
 from rfpp.scene.packed import pack
 from rfpp.scene.spec import Material, SceneObject, Transform
 
@@ -97,6 +98,25 @@ def test_a_budget_is_kept_and_says_what_it_cost(tmp_path: Path) -> None:
     with warnings.catch_warnings():
         warnings.filterwarnings("error", message=".*reduced")
         assert len(pack(Scene.load(path, triangles=6000)).triangles) == 5123
+
+
+def test_what_cannot_be_reduced_keeps_more_and_larger_objects_fewer(tmp_path: Path, monkeypatch) -> None:
+    def stubborn(mesh: Mesh, target: int) -> Mesh:
+        if len(mesh) == 80 and target < 50:
+            raise SceneError("the mesh cannot be reduced")
+        return decimated(mesh, target)
+
+    monkeypatch.setattr("rfpp.scene.budget.decimated", stubborn)
+    (tmp_path / "balls").mkdir()
+    for name, subdivisions in (("small", 1), ("large", 4)):
+        trimesh.creation.icosphere(subdivisions).export(tmp_path / "balls" / f"{name}.stl")
+    with pytest.warns(UserWarning, match="were reduced to"):
+        scene = Scene.load(tmp_path / "balls", triangles=400)
+    sizes = {item.name: len(item.mesh) for item in scene.objects}
+    assert 25 < sizes["small"] <= 80 and sizes["large"] > 200
+    assert sum(sizes.values()) <= 400
+    with pytest.raises(SceneError, match=r"balls: cannot be reduced to triangles=40: its objects keep \d+, give more"):
+        Scene.load(tmp_path / "balls", triangles=40)
 
 
 def test_impossible_budgets_say_the_least(tmp_path: Path) -> None:

@@ -147,10 +147,12 @@ class _Reader:
         else:
             world = geometry.positions @ pose[:3, :3].T + pose[:3, 3]
             faces = faces[:, ::-1] if np.linalg.det(pose[:3, :3]) < 0 else faces
-        material, present = self.materials.rows(primitive.material, len(faces), geometry.coordinates, geometry.colours)
+        material, present, see_through = self.materials.rows(
+            primitive.material, len(faces), geometry.coordinates, geometry.colours
+        )
         if primitive.material is not None and len(self.document.meshes[node.mesh].primitives) > 1:
             label += f" {name_of(self.document.materials[primitive.material].name, str(primitive.material))}"
-        return Part(label, z_up(world), faces, material, geometry.is_smooth).only(present)
+        return Part(label, z_up(world), faces, material, geometry.is_smooth, see_through).only(present)
 
 
 def _matrix(node: Node) -> Float[np.ndarray, "4 4"]:

@@ -56,29 +56,30 @@ class GltfMaterials:
         faces: int,
         coordinates: Coordinates,
         colours: Float[np.ndarray, "f 4"] | None,
-    ) -> tuple[Float[np.ndarray, "f 10"], Bool[np.ndarray, " f"]]:
-        """The material of each face of a primitive, and which faces are there at all.
+    ) -> tuple[Float[np.ndarray, "f 10"], Bool[np.ndarray, " f"], str]:
+        """The material of each face of a primitive, which faces are there at all, and `Part.see_through`.
 
         Raises:
-            SceneError: naming the material, if light goes through it, or a texture cannot be read.
+            SceneError: naming the material, if a texture cannot be read.
         """
         if index is None:
             plain = plain_material(faces) if colours is None else metallic_roughness(colours[:, :3] * GREY, 0.0, 0.5)
-            return plain, np.ones(faces, bool)
+            return plain, np.ones(faces, bool), ""
         material = self.file.entry(self.file.document.materials, index, "materials")
+        name = f"material '{name_of(material.name, str(index))}'"
         try:
-            return self._rows(material, faces, coordinates, colours)
+            rows, alpha = self._rows(material, faces, coordinates, colours)
         except SceneError as error:
-            raise SceneError(f"material '{name_of(material.name, str(index))}': {error}") from None
+            raise SceneError(f"{name}: {error}") from None
+        present = alpha >= material.alpha_cutoff if material.alpha_mode == "MASK" else np.ones(faces, bool)
+        why = _see_through(material, alpha)
+        return rows, present, f"{name} ({why})" if why else ""
 
     def _rows(
         self, material: Material, faces: int, coordinates: Coordinates, colours: np.ndarray | None
     ) -> tuple[np.ndarray, np.ndarray]:
+        """And the alpha of each face."""
         pbr, extensions = material.pbr_metallic_roughness, material.extensions
-        if max(
-            extensions.transmission.transmission_factor, extensions.diffuse_transmission.diffuse_transmission_factor
-        ):
-            raise SceneError("it transmits light, which cannot be represented: make it opaque or remove it")
         self.normal_maps |= material.normal_texture is not None
 
         base = np.tile(np.array(pbr.base_color_factor, np.float32), (faces, 1))
@@ -96,15 +97,7 @@ class GltfMaterials:
         if material.emissive_texture is not None and rows[:, EMISSION].any():
             glow = rows[:, EMISSION] * self._means(material.emissive_texture, coordinates, colour=True)[:, :3]
             rows[:, EMISSION] = np.where(glow.max(axis=1, keepdims=True) < _GLOWS * glow.max(), 0, glow)
-        return rows, self._present(material, base[:, 3])
-
-    @staticmethod
-    def _present(material: Material, alpha: np.ndarray) -> np.ndarray:
-        if material.alpha_mode == "BLEND" and alpha.min(initial=1) < _OPAQUE:
-            raise SceneError(
-                "it is transparent (alphaMode BLEND), which cannot be represented: make it opaque, or MASK"
-            )
-        return alpha >= material.alpha_cutoff if material.alpha_mode == "MASK" else np.ones(len(alpha), bool)
+        return rows, base[:, 3]
 
     def _means(self, info: TextureInfo, coordinates: Coordinates, colour: bool) -> Float[np.ndarray, "f 4"]:
         document, transform = self.file.document, info.extensions.transform
@@ -143,6 +136,14 @@ def metallic_roughness(
     rows[:, SPECULAR] = reflectance * dielectric + base * metal
     rows[:, ROUGHNESS] = np.broadcast_to(roughness, len(base))[:, None]
     return np.clip(rows, 0, 1)
+
+
+def _see_through(material: Material, alpha: np.ndarray) -> str:
+    """What says so, if light should pass through."""
+    extensions = material.extensions
+    if extensions.transmission.transmission_factor or extensions.diffuse_transmission.diffuse_transmission_factor:
+        return "transmission"
+    return "alphaMode BLEND" if material.alpha_mode == "BLEND" and alpha.min(initial=1) < _OPAQUE else ""
 
 
 def _reflectance(material: Material) -> Float[np.ndarray, 3]:

@@ -30,6 +30,7 @@ class Part:
         faces: [F, 3] int64 vertex indices, counter-clockwise seen from outside.
         material: [F, 10] float32, rows of `SceneTriangles.material`.
         smooth: whether normals are interpolated across edges flatter than 30 degrees.
+        see_through: the material that light should pass through, and what says so; none where this is empty.
 
     Raises:
         SceneError: a face index out of range; a vertex or an emission that is NaN, infinite or absurdly large.
@@ -40,6 +41,7 @@ class Part:
     faces: Int[np.ndarray, "f 3"]
     material: Float[np.ndarray, "f 10"]
     smooth: bool
+    see_through: str = ""
 
     def __post_init__(self) -> None:
         if len(self.faces) and not 0 <= self.faces.min() <= self.faces.max() < len(self.vertices):

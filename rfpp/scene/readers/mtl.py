@@ -55,10 +55,17 @@ class ObjMaterial:
     values: dict[str, list[float]] = field(default_factory=dict)
     maps: dict[str, Path] = field(default_factory=dict)
 
+    @property
+    def see_through(self) -> str:
+        """See `Part`."""
+        dissolved = self._number("d", 1.0) < 1 or self._number("tr", 0.0) > 0 or "map_d" in self.maps
+        if dissolved or self._number("illum", 2.0) in _TRANSPARENT_MODELS:
+            return f"material '{self.name}' (d, Tr, map_d or illum)"
+        return ""
+
     def rows(self, uv: Float[np.ndarray, "f 3 2"] | None, faces: int, textures: Textures) -> Float[np.ndarray, "f 10"]:
-        """Raises SceneError naming the material, if it is transparent or a texture cannot be read."""
+        """Raises SceneError naming the material, if a texture cannot be read."""
         try:
-            self._require_opaque()
             diffuse = np.clip(self._colour("kd", 0.8, uv, faces, textures), 0, 1)
             rows = self._surface(diffuse)
             rows[:, EMISSION] = np.maximum(self._colour("ke", 0.0, uv, faces, textures), 0)
@@ -77,11 +84,6 @@ class ObjMaterial:
         specular = share * np.clip(self.values.get("ks", [DIELECTRIC / _HIGHLIGHT] * 3), 0, 1)
         roughness = 1 - math.sqrt(min(max(self._number("ns", 250.0), 0), 1000) / 1000)
         return metallic_roughness(diffuse, 0.0, roughness, specular)
-
-    def _require_opaque(self) -> None:
-        transparent = self._number("d", 1.0) < 1 or self._number("tr", 0.0) > 0 or "map_d" in self.maps
-        if transparent or self._number("illum", 2.0) in _TRANSPARENT_MODELS:
-            raise SceneError("it is transparent (d, Tr, map_d or illum), which cannot be represented: make it opaque")
 
     def _number(self, key: str, otherwise: float) -> float:
         return self.values.get(key, [otherwise])[0]

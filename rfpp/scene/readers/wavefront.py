@@ -13,7 +13,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
 
 from rfpp.errors import SceneError
 from rfpp.scene.readers.grouping import components
@@ -146,15 +145,17 @@ class _Reader:
         if len(shaded) and shaded.min() >= 0:
             smooth = _is_smooth(vertices[faces], normals[shaded])
         label = name_of(" ".join(filter(None, (group.name, group.material))), "part")
-        part = Part(label, vertices, faces, self._rows(group.material, uv, len(faces)), smooth)
+        material = self._material(group.material)
+        rows = material.rows(uv, len(faces), self.textures) if material else plain_material(len(faces))
+        part = Part(label, vertices, faces, rows, smooth, material.see_through if material else "")
         return part.only(np.arange(len(faces)))
 
-    def _rows(self, name: str, uv: np.ndarray | None, faces: int) -> Float[np.ndarray, "f 10"]:
+    def _material(self, name: str) -> ObjMaterial | None:
         if not self.names_materials or not name:
-            return plain_material(faces)
+            return None
         if name not in self.materials:
             raise SceneError(f"material '{one_line(name, 60)}' is in none of its MTL files: add it or export it again")
-        return self.materials[name].rows(uv, faces, self.textures)
+        return self.materials[name]
 
 
 def _is_smooth(corners: np.ndarray, normals: np.ndarray) -> bool:

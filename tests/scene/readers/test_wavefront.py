@@ -115,11 +115,26 @@ def test_y_is_up_unless_said_otherwise(tmp_path: Path) -> None:
     np.testing.assert_allclose(np.ptp(said.objects[0].mesh.vertices, axis=0), [1, 0, 0.5])
 
 
+@pytest.mark.parametrize("mtl", ["d 0.5\n", "Tr 0.5\n", "illum 4\n", "map_d a.png\n"])
+def test_what_is_transparent_becomes_opaque_or_is_left_out_or_refused(mtl: str, tmp_path: Path) -> None:
+    (tmp_path / "two.mtl").write_text(f"newmtl pane\nKd 0 1 0\n{mtl}newmtl frame\nKd 1 0 0\n")
+    path = tmp_path / "window.obj"
+    path.write_text("mtllib two.mtl\n" + SQUARE + "o it\nusemtl pane\nf 1 2 3\nusemtl frame\nf 1 3 4\n")
+    lamps = 3  # are added
+    with pytest.warns(
+        UserWarning, match=r"window.obj: material 'pane' \(d, Tr, map_d or illum\): light cannot pass .*opaque"
+    ):
+        assert len(Scene.load(path).objects) == 2 + lamps
+    with pytest.warns(UserWarning, match="so it is left out"):
+        names = [item.name for item in Scene.load(path, transparent="drop").objects]
+    assert len(names) == 1 + lamps and "it frame" in names
+    with pytest.raises(
+        SceneError, match=r"window.obj: material 'pane' .*: is transparent, .* load it with transparent="
+    ):
+        Scene.load(path, transparent="refuse")
+
+
 REFUSED = {
-    "dissolve": ("f 1 2 3\n", "d 0.5\n", "material 'it': it is transparent"),
-    "transparency": ("f 1 2 3\n", "Tr 0.5\n", "material 'it': it is transparent"),
-    "glass": ("f 1 2 3\n", "illum 4\n", "material 'it': it is transparent"),
-    "a map of it": ("f 1 2 3\n", "map_d a.png\n", "material 'it': it is transparent"),
     "a missing texture": ("f 1/1 2/2 3/3\n", "map_Kd gone.png\n", "gone.png: cannot be read"),
     "a texture elsewhere": ("f 1 2 3\n", "map_Kd ../x.png\n", "my materials.mtl: line 2: '../x.png' leads out"),
     "a texture on no map": ("f 1 2 3\n", "map_Kd gone.png\n", "map_Kd needs texture coordinates"),
