@@ -1,6 +1,7 @@
 # make quickstart     data → training → evaluation → pictures, on a laptop CPU
 # make test           the test suite, in two processes
 # make fuzz           thousands of damaged and hostile files, and what became of them, in data/results/fuzz.csv
+# make docs           the documentation as a site: docs/_build/html/docs/index.html
 # make check          style, import contracts
 # Each makes its own virtual environment first. PYTHON=/path/to/python3.11 names another interpreter.
 VENV ?= .venv
@@ -8,7 +9,7 @@ RUN := $(VENV)/bin/python
 EXPERIMENT := +experiment=quickstart
 LATEST := data/runs/quickstart/latest
 
-.PHONY: help quickstart test fuzz check install
+.PHONY: help quickstart test fuzz docs check install
 .DEFAULT_GOAL := help
 
 help:
@@ -38,6 +39,9 @@ test: install
 
 fuzz: install
 	FUZZ=1000 FUZZ_TABLE=data/results/fuzz.csv $(RUN) -m pytest tests/fuzz
+
+docs: install
+	$(RUN) -m sphinx -W --keep-going -q -c docs -b html . docs/_build/html
 
 check: install
 	$(VENV)/bin/ruff check .

@@ -1,6 +1,6 @@
 """The table of `benchmark=gpu` in Markdown.
 
-python -m rfpp.benchmark.gpu_table data/results/gpu.csv --into README.md
+python -m rfpp.benchmark.gpu_table data/results/gpu.csv --into docs/results.md
 """
 
 from __future__ import annotations

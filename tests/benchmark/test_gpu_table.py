@@ -1,4 +1,4 @@
-"""The table of a GPU machine for reading, and that README's is the one of the committed rows."""
+"""The table of a GPU machine for reading, and that the one on the page of results is that of the committed rows."""
 
 import csv
 
@@ -44,9 +44,9 @@ def test_the_table_goes_where_its_marks_are(tmp_path):
         insert("no marks", "new")
 
 
-def test_readme_s_table_is_that_of_the_committed_rows(tmp_path):
-    rows, readme = ROOT / "data" / "results" / "gpu.csv", ROOT / "README.md"
-    copy = tmp_path / "README.md"
+def test_the_table_of_the_results_page_is_that_of_the_committed_rows(tmp_path):
+    rows, readme = ROOT / "data" / "results" / "gpu.csv", ROOT / "docs" / "results.md"
+    copy = tmp_path / "results.md"
     copy.write_bytes(readme.read_bytes())
     main([str(rows), "--into", str(copy)])
     assert copy.read_text() == readme.read_text(), "make it again with rfpp.benchmark.gpu_table"
