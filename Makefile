@@ -1,15 +1,17 @@
 # make quickstart     data → training → evaluation → pictures, on a laptop CPU
-# make test           the test suite, in two processes
+# make test           most of the test suite, in minutes; two processes at a time
+# make test-all       and the rest: trainings, Slurm, notebooks, whole pipelines
 # make fuzz           thousands of damaged and hostile files, and what became of them, in data/results/fuzz.csv
 # make docs           the documentation as a site: docs/_build/html/docs/index.html
 # make check          style, import contracts
 # Each makes its own virtual environment first. PYTHON=/path/to/python3.11 names another interpreter.
 VENV ?= .venv
 RUN := $(VENV)/bin/python
+PYTEST := $(RUN) -m pytest -n 2 --dist loadgroup --durations=50 --durations-min=3
 EXPERIMENT := +experiment=quickstart
 LATEST := data/runs/quickstart/latest
 
-.PHONY: help quickstart test fuzz docs check install
+.PHONY: help quickstart test test-all fuzz docs check install
 .DEFAULT_GOAL := help
 
 help:
@@ -35,7 +37,10 @@ quickstart: install
 	@echo "Render more     $(RUN) launch/render.py scene=data/scenes/roughness_spheres.json checkpoint=$(LATEST)/checkpoints/best.ckpt"
 
 test: install
-	$(RUN) -m pytest -n 2 --dist loadgroup --durations=60
+	$(PYTEST) -m "not slow"
+
+test-all: test
+	$(PYTEST) -m slow
 
 fuzz: install
 	FUZZ=1000 FUZZ_TABLE=data/results/fuzz.csv $(RUN) -m pytest tests/fuzz

@@ -7,6 +7,7 @@ import signal
 import sys
 import threading
 from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
 
 import pytest
 import torch
@@ -14,6 +15,8 @@ from slurm_cluster import SlurmCluster
 
 torch.set_num_threads(1)  # two threads on busy cores stall each other
 
+#: Files and tests that `make test` leaves to `make test-all`.
+_SLOW = Path(__file__).with_name("slow_tests.txt")
 #: Seconds in which the process has to end after its last test.
 _ENDS_WITHIN = 120
 
@@ -27,10 +30,16 @@ def pytest_ignore_collect(collection_path, config):
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items):
-    """With `-n 2` a file's tests run in one process, for their fixtures; all that need the one Slurm, in one, too."""
+    """With `-n 2` a file's tests run in one process, for their fixtures; all that need the one Slurm, in one, too.
+
+    What slow_tests.txt names is marked `slow`.
+    """
+    slow = tuple(line for line in _SLOW.read_text(encoding="utf-8").splitlines() if line and line[0] != "#")
     for item in items:
         file = item.nodeid.split("::")[0]
         item.add_marker(pytest.mark.xdist_group("slurm" if "slurm" in item.fixturenames else file))
+        if item.nodeid.startswith(slow):
+            item.add_marker(pytest.mark.slow)
 
 
 @pytest.hookimpl(trylast=True)
