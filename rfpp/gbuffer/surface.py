@@ -46,9 +46,13 @@ class Surface:
         normal: Float[np.ndarray, "r 3"],
         eye: Float[np.ndarray, "*r 3"],
     ) -> Surface:
-        """Points on triangles with their shading normals, seen from `eye`, one for all or one for each."""
+        """Points on triangles with their shading normals, seen from `eye`, one for all or one for each.
+
+        An eye that lies in the point itself looks along the normal.
+        """
         view = eye - position
-        view /= np.linalg.norm(view, axis=-1, keepdims=True)
+        distance = np.linalg.norm(view, axis=-1, keepdims=True)
+        view = np.where(distance > 0, view / np.where(distance > 0, distance, 1), normal)
         corners = triangles.positions[triangle].astype(np.float64)
         geometric = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         geometric /= np.linalg.norm(geometric, axis=-1, keepdims=True)

@@ -182,3 +182,13 @@ def test_agrees_with_cycles_direct_passes(in_process, name):
     for lobe, reflectance, tolerance in (("diffuse", "albedo", 0.02), ("glossy", "specular", 0.05)):
         ours = channel(gbuffer, scene.material, fov, reflectance) * getattr(gbuffer.light, lobe)
         assert relative_error(ours, (cycles[f"{lobe}_direct"] * cycles[f"{lobe}_color"])[0]) < tolerance
+
+
+def test_an_eye_on_the_surface_itself_looks_along_its_normal():
+    """As with a camera that stands in a wall: a direction of NaN came as far as a table, as an index."""
+    scene = still_life()
+    point = scene.positions[:1].mean(axis=1).astype(np.float64)
+    normal = scene.normals[:1, 0].astype(np.float64)
+    on_it = surface.Surface.at(scene, np.zeros(1, int), point, normal, point[0])
+    np.testing.assert_array_equal(on_it.view, normal)
+    assert np.isfinite(on_it.point).all()
