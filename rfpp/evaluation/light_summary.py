@@ -97,6 +97,7 @@ def _cells(method: Method) -> list[str]:
 def png(found: Sequence[Method]) -> bytes:
     """Of one data set: a dot is a seed, a bar the 95% interval over scenes."""
     from matplotlib.figure import Figure
+    from matplotlib.ticker import LogLocator, NullFormatter
 
     from rfpp.evaluation.table_plot import png as as_png
 
@@ -111,8 +112,11 @@ def png(found: Sequence[Method]) -> bytes:
             if column == "further_light":
                 ends = (method.values(f"{column}_{end}").mean() for end in ("low", "high"))
                 axes.hlines(height, *ends, colour, linewidth=3, alpha=0.3)
-        axes.set(xlabel=heading, xlim=(0, None))
-        axes.grid(axis="x", alpha=0.3)
+        axes.set(xlabel=heading, xscale="log")
+        axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        axes.xaxis.set_major_formatter("{x:g}")
+        axes.xaxis.set_minor_formatter(NullFormatter())
+        axes.grid(axis="x", which="both", alpha=0.3)
     panels[0].set_yticks(range(len(found)), [method.label for method in found])
     panels[0].set_ylim(len(found) - 0.5, -0.5)
     return as_png(made)
