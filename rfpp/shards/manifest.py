@@ -86,10 +86,13 @@ class Manifest:
                 f"{shard.remedy_at(self.root)}"
             )
         try:
-            return ShardIndex.from_bytes(text)
+            index = ShardIndex.from_bytes(text)
+            if len(index.samples) != shard.samples:
+                raise ValueError(f"it lists {len(index.samples)} samples, the manifest says {shard.samples}")
         except (ValueError, KeyError, TypeError, AttributeError) as error:
             why = f"{self.root}/{shard.index_file}: not the index of a shard ({error})"
             raise ShardError(f"{why}: {shard.remedy_at(self.root)}") from error
+        return index
 
     def samples(self, split: str) -> list[SampleEntry]:
         """The samples of a split in order of their index; reads the index of every shard."""

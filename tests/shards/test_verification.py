@@ -43,7 +43,15 @@ def test_an_index_that_leaves_a_sample_out_is_found_though_every_hash_is_right(c
     content["samples"] = content["samples"][:-1]
     index.write_text(json.dumps(content))
     manifest = json.loads((copied / "manifest.json").read_text())
-    manifest["splits"]["train"][0]["index_sha256"] = hashlib.sha256(index.read_bytes()).hexdigest()
+    listed = manifest["splits"]["train"][0]
+    listed["index_sha256"] = hashlib.sha256(index.read_bytes()).hexdigest()
+    (copied / "manifest.json").write_text(json.dumps(manifest))
+    with RenderFarm(1) as farm:
+        (problem,) = verify(copied, farm, lambda done, total: None)
+    assert (
+        "train-00000.json: not the index of a shard" in problem and f"the manifest says {listed['samples']}" in problem
+    )
+    listed["samples"] -= 1  # and the manifest agrees
     (copied / "manifest.json").write_text(json.dumps(manifest))
     with RenderFarm(1) as farm:
         (problem,) = verify(copied, farm, lambda done, total: None)
