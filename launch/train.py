@@ -48,7 +48,7 @@ from rfpp.training.tracking import code_version
 @entry_point("train")
 def main(cfg: DictConfig) -> Path | None:
     """Train `cfg.model` on `cfg.data`; returns the best checkpoint's path (None after a fast_dev_run)."""
-    console = Console(highlight=False)
+    console = Console(highlight=False, soft_wrap=True)
     untroubled = (
         "does not have many workers", "isn't picklable", "LeafSpec", "dataloader is not resumable",
         "exists and is not empty", "`srun` command is available", "Grad strides do not match",
@@ -96,7 +96,7 @@ def main(cfg: DictConfig) -> Path | None:
     divide_global_batch(trainer, datamodule)
 
     if trainer.is_global_zero:
-        console.print(start_summary(cfg, network, datamodule, trainer), soft_wrap=True)
+        console.print(start_summary(cfg, network, datamodule, trainer))
         if resumed:
             console.print(f"Goes on from {resumed}")
     writer = only_writer_of(run_dir) if tracked and trainer.is_global_zero else nullcontext()
@@ -119,7 +119,7 @@ def main(cfg: DictConfig) -> Path | None:
     # a data set without a validation split knows no best
     best = Path(trainer.checkpoint_callback.best_model_path or run_dir / "checkpoints" / "last.ckpt")
     if trainer.is_global_zero:
-        console.print(end_summary(logger, best, cfg.data.root, cfg.callbacks.best.monitor), soft_wrap=True)
+        console.print(end_summary(logger, best, cfg.data.root, cfg.callbacks.best.monitor))
     return best
 
 
