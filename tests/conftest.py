@@ -43,8 +43,10 @@ def pytest_collection_modifyitems(items):
 
 
 @pytest.hookimpl(trylast=True)
-def pytest_sessionfinish(exitstatus):
+def pytest_sessionfinish(session, exitstatus):
     """A thread or a child that is waited for without end is named, and not waited for."""
+    if hasattr(session.config, "workerinput"):
+        return  # one of several processes waits for the others, and is ended with them
 
     def end() -> None:
         print(f"{_ENDS_WITHIN} s after the last test this process has not ended. It waits here:", file=sys.__stderr__)

@@ -92,6 +92,7 @@ def end_early(stop: StoppedError, run_dir: Path) -> NoReturn:
     job = os.environ.get("SLURM_JOB_ID")
     if stop.signal == COME_BACK and job is not None:
         asked = subprocess.run(["scontrol", "requeue", job], capture_output=True, text=True, check=False)
-        how = f"job {job} is requeued" if asked.returncode == 0 else f"{asked.stderr.strip()}; {how}"
+        requeued = asked.returncode <= 0  # below 0: it was heard, and killed with all of the job before it said so
+        how = f"job {job} is requeued" if requeued else f"{asked.stderr.strip()}; {how}"
     print(f"{stop}: {how}", file=sys.stderr, flush=True)
     sys.exit(128 + stop.signal)
