@@ -1,6 +1,6 @@
 """Fuzzing: how much is tried, and a table of how it ended.
 
-In the suite a few inputs of each kind, always the same. FUZZ=1200 tries so many, different ones each time, and none
+In the suite a few inputs of each kind, always the same. FUZZ=800 tries so many, different ones each time, and none
 may take ten seconds; FUZZ_TABLE names a file for the table. `make fuzz` sets both.
 """
 
@@ -15,7 +15,10 @@ from dataclasses import asdict, dataclass, fields
 from datetime import timedelta
 from pathlib import Path
 
+import torch
 from hypothesis import HealthCheck, settings
+
+from rfpp.training.tracking.description import code_version, hardware
 
 _MANY = int(os.environ.get("FUZZ", "0"))
 
@@ -75,12 +78,14 @@ def attempt(kind: str) -> Iterator[Attempt]:
 
 
 def write_table(path: Path) -> None:
-    """ATTEMPTS as CSV."""
+    """ATTEMPTS as CSV, with what they were tried on."""
+    where = {"commit": (code_version() or "")[:12], "hardware": hardware(torch.device("cpu"))}
     with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, [field.name for field in fields(Attempts)])
+        writer = csv.DictWriter(file, [*(field.name for field in fields(Attempts)), *where], lineterminator="\n")
         writer.writeheader()
         for row in ATTEMPTS.values():
-            writer.writerow(asdict(row) | {"slowest": round(row.slowest, 2), "memory": round(row.memory, 2)})
+            rounded = {"slowest": round(row.slowest, 2), "memory": round(row.memory, 2)}
+            writer.writerow(asdict(row) | rounded | where)
 
 
 def _gb(name: str, forget_most: bool = False) -> float:
