@@ -43,7 +43,7 @@ test-all: test
 	$(PYTEST) -m slow
 
 fuzz: install
-	FUZZ=800 FUZZ_TABLE=data/results/fuzz.csv $(RUN) -m pytest tests/fuzz
+	FUZZ=900 FUZZ_TABLE=data/results/fuzz.csv $(RUN) -m pytest tests/fuzz
 
 docs: install
 	$(RUN) -m sphinx -W --keep-going -q -c docs -b html . docs/_build/html

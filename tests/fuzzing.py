@@ -1,6 +1,6 @@
 """Fuzzing: how much is tried, and a table of how it ended.
 
-In the suite a few inputs of each kind, always the same. FUZZ=800 tries so many, different ones each time, and none
+In the suite a few inputs of each kind, always the same. FUZZ=900 tries so many, different ones each time, and none
 may take ten seconds; FUZZ_TABLE names a file for the table. `make fuzz` sets both.
 """
 
