@@ -2,7 +2,7 @@
 # docker run --rm -v "$PWD:/work" rfpp render scene=chair.glb
 # docker run --rm --gpus all --ipc=host -v "$PWD:/work" rfpp train +experiment=quickstart
 # For a CPU alone, which is smaller: --build-arg PIP_EXTRA_INDEX_URL=https://download.pytorch.org/whl/cpu
-# Another base, Debian or Ubuntu with Python 3.11 to be had: --build-arg BASE=nvidia/cuda:12.8.1-runtime-ubuntu22.04
+# Another base, of Debian or Ubuntu with Python 3.11 (not tried yet): --build-arg BASE=nvidia/cuda:12.8.1-runtime-ubuntu22.04
 ARG BASE=python:3.11-slim-bookworm
 FROM ${BASE}
 

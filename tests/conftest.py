@@ -69,6 +69,14 @@ def in_process():
 
 
 @pytest.fixture(scope="session")
+def finished(tmp_path_factory):
+    """The manifest of a complete small data set. Do not write into its folder."""
+    from small_data import make  # late: machines with a GPU often lack what it imports
+
+    return make(tmp_path_factory.mktemp("data") / "small")
+
+
+@pytest.fixture(scope="session")
 def slurm(tmp_path_factory):
     """A running Slurm that plays two nodes."""
     cluster = SlurmCluster(tmp_path_factory.mktemp("slurm"), nodes=2)

@@ -1,17 +1,9 @@
-"""What all fuzzed inputs share."""
+"""What was tried is said at the end."""
 
 import os
 from pathlib import Path
 
-import pytest
 from fuzzing import ATTEMPTS, write_table
-from small_data import make
-
-
-@pytest.fixture(scope="session")
-def finished(tmp_path_factory):
-    """The manifest of a complete small data set. Do not write into its folder."""
-    return make(tmp_path_factory.mktemp("data") / "small")
 
 
 def pytest_terminal_summary(terminalreporter):

@@ -1,15 +1,8 @@
-"""One finished data set for all tests that only look at it, and copies for those that damage it."""
+"""Copies of the finished data set, for tests that damage it."""
 
 import shutil
 
 import pytest
-from small_data import make
-
-
-@pytest.fixture(scope="session")
-def finished(tmp_path_factory):
-    """The manifest of a complete small data set. Do not write into its folder."""
-    return make(tmp_path_factory.mktemp("data") / "small")
 
 
 @pytest.fixture
