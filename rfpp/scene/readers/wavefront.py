@@ -19,7 +19,8 @@ from rfpp.scene.readers.grouping import components
 from rfpp.scene.readers.image_texture import Textures
 from rfpp.scene.readers.imported import ImportedScene, Part, fans, name_of, plain_material
 from rfpp.scene.readers.mtl import ObjMaterial, read_mtl
-from rfpp.scene.untrusted import MAX_TEXT_BYTES, beside, lines_of, one_line, read_bytes, require_bounded
+from rfpp.scene.readers.wavefront_runs import Run, runs
+from rfpp.scene.untrusted import MAX_TEXT_BYTES, beside, one_line, read_bytes, require_bounded
 
 _FLAT_COSINE = math.cos(math.radians(1))
 _MAX_LIBRARIES = 100
@@ -40,17 +41,25 @@ class _Group:
 def read_obj(path: Path) -> ImportedScene:
     """The scene in an OBJ file. Raises SceneError, without the file's name but with the line's number."""
     reader = _Reader(path.parent)
-    for number, line in enumerate(lines_of(read_bytes(path, MAX_TEXT_BYTES)), start=1):
-        tokens = line.split()
-        if tokens:
-            try:
-                reader.take(tokens, line)
-            except SceneError as error:
-                raise SceneError(f"line {number}: {error}") from None
-            except (ValueError, OverflowError):
-                text = one_line(line.decode("utf-8", "replace").strip(), 40)
-                raise SceneError(f"line {number}: '{text}' cannot be read: export it again") from None
+    for run in runs(read_bytes(path, MAX_TEXT_BYTES)):
+        if not reader.take_run(run):
+            for number, line in enumerate(run.text.split(b"\n"), start=run.first):
+                _take(reader, number, line)
     return ImportedScene(path.stem, tuple(reader.parts(path)))
+
+
+def _take(reader: _Reader, number: int, line: bytes) -> None:
+    """Raises SceneError with the line's number."""
+    tokens = line.split()
+    if not tokens:
+        return
+    try:
+        reader.take(tokens, line)
+    except SceneError as error:
+        raise SceneError(f"line {number}: {error}") from None
+    except (ValueError, OverflowError):
+        text = one_line(line.decode("utf-8", "replace").strip(), 40)
+        raise SceneError(f"line {number}: '{text}' cannot be read: export it again") from None
 
 
 class _Reader:
@@ -65,6 +74,22 @@ class _Reader:
         self.names_materials = self.names_parts = False
         self.flat = False
         self.triangles = 0
+
+    def take_run(self, run: Run) -> bool:
+        """Lines of one keyword at once; False: take them one by one."""
+        if run.key in _WIDTHS:
+            values = run.vectors(_WIDTHS[run.key])
+            if values is not None:
+                self.arrays[run.key].frombytes(values.tobytes())
+            return values is not None
+        corners = run.polygons(self._counts()) if run.key == b"f" else None
+        if corners is None:
+            return False
+        group, (count, size, _) = self._group(), corners.shape
+        group.corners.frombytes(corners.tobytes())
+        group.sizes.extend([size] * count)
+        self._count(count * max(size - 2, 0))
+        return True
 
     def take(self, tokens: list[bytes], line: bytes) -> None:
         """One line that is not empty."""
@@ -104,12 +129,22 @@ class _Reader:
             warnings.warn(f"{path}: textures are averaged over each triangle ({self.textures.used})", stacklevel=4)
         return parts if self.names_parts else [piece for part in parts for piece in components(part)]
 
-    def _face(self, tokens: list[bytes]) -> None:
+    def _counts(self) -> list[int]:
+        """Of vertices, texture coordinates and normals so far."""
+        return [len(self.arrays[key]) // width for key, width in _WIDTHS.items()]
+
+    def _group(self) -> _Group:
         if (self.name, self.material) not in self.groups:
             self.groups[self.name, self.material] = _Group(self.name, self.material, flat=self.flat)
             require_bounded(self.triangles, len(self.groups))
-        group = self.groups[self.name, self.material]
-        counts = [len(self.arrays[key]) // width for key, width in _WIDTHS.items()]
+        return self.groups[self.name, self.material]
+
+    def _count(self, triangles: int) -> None:
+        self.triangles += triangles
+        require_bounded(self.triangles)
+
+    def _face(self, tokens: list[bytes]) -> None:
+        group, counts = self._group(), self._counts()
         size = 0
         for token in tokens:
             if token[:1] == b"#":
@@ -128,8 +163,7 @@ class _Reader:
             group.corners.extend(corner)
             size += 1
         group.sizes.append(size)
-        self.triangles += max(size - 2, 0)
-        require_bounded(self.triangles)
+        self._count(max(size - 2, 0))
 
     def _part(self, group: _Group, vertices: np.ndarray, coordinates: np.ndarray, normals: np.ndarray) -> Part:
         corners = np.array(group.corners, np.int64).reshape(-1, 3)
