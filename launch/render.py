@@ -55,7 +55,7 @@ def main(cfg: DictConfig) -> list[Path]:
         files = [request.film(path, motion.name) for path in request.scene]
         encoder()  # what is not installed is missed before anything is rendered
     else:
-        scenes = [with_cameras(request.load(path), request.cameras) for path in request.scene]
+        scenes = [with_cameras(request.load(path), path, request.cameras) for path in request.scene]
         files = [request.stills(path, len(scene.fov)) for path, scene in zip(request.scene, scenes, strict=True)]
 
     renderer = load(cfg.checkpoint, cfg)

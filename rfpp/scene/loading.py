@@ -28,7 +28,7 @@ from rfpp.scene.readers.ply import read_ply
 from rfpp.scene.readers.stl import read_stl
 from rfpp.scene.readers.wavefront import read_obj
 from rfpp.scene.spec import Material, Scene, SceneObject, Transform
-from rfpp.scene.triangles import DIFFUSE, EMISSION, ROUGHNESS, SPECULAR
+from rfpp.scene.triangles import DIFFUSE, EMISSION, ROUGHNESS, SPECULAR, world_meshes
 from rfpp.scene.untrusted import require_bounded
 
 #: Suffix → reader, and the axis that points up in the file; None where the reader turns it.
@@ -80,9 +80,11 @@ def load_any(
         raise SceneError(f"{path}: '{suffix}' is no scene that can be read: give {known} or a folder of meshes")
     else:
         scene = load_scene(path)
-    if triangles is not None:
-        return within_budget(scene, triangles, f"{path}")
-    return scene
+    try:
+        world_meshes(scene)  # fails here, where the file is known, and not when the scene is packed
+    except SceneError as error:
+        raise SceneError(f"{path}: {error}") from None
+    return scene if triangles is None else within_budget(scene, triangles, f"{path}")
 
 
 def _imported(path: Path, up: str | None, transparent: str) -> Scene:

@@ -64,8 +64,7 @@ class SceneTriangles:
         Raises:
             SceneError: naming the object, if nothing of it is left.
         """
-        placed = [_world_mesh(item) for item in scene.objects]
-        meshes = [_without_degenerate_faces(item, mesh) for item, mesh in zip(scene.objects, placed, strict=True)]
+        placed, meshes = zip(*world_meshes(scene), strict=True)
         return cls(
             positions=np.concatenate([mesh.corners for mesh in meshes]),
             normals=np.concatenate(
@@ -96,27 +95,33 @@ def rotation_matrix(degrees: Vector) -> Float[np.ndarray, "3 3"]:
     return about_z @ about_y @ about_x
 
 
-def _world_mesh(item: SceneObject) -> Mesh:
+def world_meshes(scene: Scene) -> list[tuple[Mesh, Mesh]]:
+    """Each object's mesh where it stands, whole and without triangles of zero area.
+
+    Raises:
+        SceneError: naming the object, if nothing of it is left or it is not finite.
+    """
+    meshes = []
+    for item in scene.objects:
+        try:
+            placed = _placed(item)
+            meshes.append((placed, without_degenerate_faces(placed)))
+        except SceneError as error:
+            raise SceneError(f"object '{item.name}': {error}") from None
+    return meshes
+
+
+def _placed(item: SceneObject) -> Mesh:
     """The mesh after its transform, still facing outwards if it was mirrored.
 
     Shading normals are made from this mesh, as RenderFormer does, so no normal ever needs the inverse transpose.
     """
     transform = item.transform
-    try:
-        mesh = normalized(item.mesh) if transform.normalize else item.mesh
-        rotated = mesh.vertices @ rotation_matrix(transform.rotation).T
-        vertices = rotated * np.array(transform.scale) + np.array(transform.translation)
-        faces = mesh.faces[:, ::-1] if np.prod(np.sign(transform.scale)) < 0 else mesh.faces
-        return Mesh(vertices, faces)
-    except SceneError as error:
-        raise SceneError(f"object '{item.name}': {error}") from None
-
-
-def _without_degenerate_faces(item: SceneObject, mesh: Mesh) -> Mesh:
-    try:
-        return without_degenerate_faces(mesh)
-    except SceneError as error:
-        raise SceneError(f"object '{item.name}': {error}") from None
+    mesh = normalized(item.mesh) if transform.normalize else item.mesh
+    rotated = mesh.vertices @ rotation_matrix(transform.rotation).T
+    vertices = rotated * np.array(transform.scale) + np.array(transform.translation)
+    faces = mesh.faces[:, ::-1] if np.prod(np.sign(transform.scale)) < 0 else mesh.faces
+    return Mesh(vertices, faces)
 
 
 def _material_rows(material: Material, mesh: Mesh) -> np.ndarray:

@@ -169,6 +169,21 @@ def test_a_bad_mesh_names_scene_object_and_mesh(folder: Path, vertex: str, face:
         Scene.load(write(folder, PLAIN))
 
 
+@pytest.mark.parametrize(
+    ("faces", "transform", "message"),
+    [
+        ("f 1 1 2", {"normalize": False}, "zero area"),
+        ("f 4 5 6", {}, "all vertices coincide"),
+        ("f 1 2 3", {"scale": [0, 0, 0]}, "zero area"),
+    ],
+)
+def test_what_leaves_nothing_where_it_stands_is_named(folder: Path, faces: str, transform: dict, message: str) -> None:
+    vertices = "v 7 7 7\n" * 3 if "4" in faces else "v 0 0 0\nv 1 0 0\nv 0 1 0\n"
+    (folder / "ball.obj").write_text(f"{vertices}{faces.replace('4 5 6', '1 2 3')}\n")
+    with pytest.raises(SceneError, match=rf"scene\.json: object 'ball': .*{message}"):
+        Scene.load(write(folder, changed(lambda c: c["objects"]["ball"].update(transform=transform))))
+
+
 def test_a_missing_or_binary_scene_is_named(folder: Path) -> None:
     with pytest.raises(SceneError, match=r"gone\.json: cannot be read \(No such file or directory\)"):
         Scene.load(folder / "gone.json")

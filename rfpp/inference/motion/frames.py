@@ -79,15 +79,15 @@ def frames_between(start: float | int, end: float | int, fps: float | int) -> in
     return int((end - start) * fps + 1e-6) + 1
 
 
-def with_cameras(scene: Scene | PackedScene, wanted: Sequence[int] | None) -> PackedScene:
-    """The scene with only the wanted cameras, or all. Raises UserError when one does not exist."""
+def with_cameras(scene: Scene | PackedScene, file: Path, wanted: Sequence[int] | None) -> PackedScene:
+    """The scene of a file with only the wanted cameras, or all. Raises UserError when one does not exist."""
     packed = pack(scene)
     count = len(packed.fov)
     if not count:
-        raise UserError(f"scene '{packed.name}' has no camera: add one to its `cameras`")
+        raise UserError(f"{file}: has no camera: add one to its `cameras`")
     if wanted is None:
         return packed
     if not wanted or min(wanted) < 0 or max(wanted) >= count:
         there = "camera 0" if count == 1 else f"cameras 0…{count - 1}"
-        raise UserError(f"cameras={list(wanted)}: scene '{packed.name}' has {there}: choose among them")
+        raise UserError(f"cameras={list(wanted)}: {file} has {there}: choose among them")
     return packed.views(wanted)

@@ -56,7 +56,7 @@ class Keyframes(KeyedMotion):
         view = CameraTrack(content.camera, f"{self.file}: camera") if content.camera else None
         times = [time for track in [*tracks.values(), *filter(None, [view])] for time in track.times]
         first, last = min(times), max(times)
-        fixed = None if view else with_cameras(still, [camera])
+        fixed = None if view else with_cameras(still, scene, [camera])
 
         @lru_cache(maxsize=1)
         def triangles(objects: tuple[SceneObject, ...]) -> SceneTriangles:

@@ -30,7 +30,7 @@ class NumberedScenes(Motion):
         if not scene.is_dir():
             raise SceneError(f"{scene}: is not a folder: give the one that holds a scene file for each frame")
         files = self._in_order(scene)
-        return Frames(len(files), lambda number: with_cameras(load(files[number]), [camera]))
+        return Frames(len(files), lambda number: with_cameras(load(files[number]), files[number], [camera]))
 
     def _in_order(self, folder: Path) -> list[Path]:
         numbered: dict[int, Path] = {}

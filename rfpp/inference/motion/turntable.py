@@ -32,7 +32,7 @@ class _Orbit(Motion):
         """In radians, counter-clockwise from above, after this share of the film."""
 
     def frames_of(self, scene: Path, camera: int, load: Load = Scene.load) -> Frames:
-        start = with_cameras(load(scene), [camera])
+        start = with_cameras(load(scene), scene, [camera])
         middle = _middle(start.triangles)
 
         def at(number: int) -> PackedScene:

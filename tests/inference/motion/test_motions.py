@@ -1,6 +1,7 @@
 """Motions: turntable, camera path, keyframes and numbered scenes."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -284,10 +285,10 @@ class TestNumberedScenes:
 
 
 def test_cameras_that_are_not_there_are_refused():
-    with pytest.raises(UserError, match=r"cameras=\[3\]: scene 'six' has cameras 0…2"):
-        with_cameras(scene(), [3])
+    with pytest.raises(UserError, match=r"cameras=\[3\]: six\.json has cameras 0…2"):
+        with_cameras(scene(), Path("six.json"), [3])
     with pytest.raises(UserError, match=r"cameras=\[\]"):
-        with_cameras(scene(), [])
-    with pytest.raises(UserError, match="'six' has no camera"):
-        with_cameras(scene().model_copy(update={"cameras": ()}), None)
-    assert len(with_cameras(scene(), [2, 0]).fov) == 2
+        with_cameras(scene(), Path("six.json"), [])
+    with pytest.raises(UserError, match=r"six\.json: has no camera"):
+        with_cameras(scene().model_copy(update={"cameras": ()}), Path("six.json"), None)
+    assert len(with_cameras(scene(), Path("six.json"), [2, 0]).fov) == 2
