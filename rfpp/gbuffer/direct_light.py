@@ -20,13 +20,10 @@ from jaxtyping import Float
 
 from rfpp.gbuffer import ggx
 from rfpp.gbuffer.first_hit import DirectLight, GBuffer
+from rfpp.gbuffer.light_loops import along_lobe, from_light, from_lobe, toward_light
 from rfpp.gbuffer.light_sampler import LightSampler
-from rfpp.gbuffer.polygon_light import form_factor
-from rfpp.gbuffer.surface import CLEARANCE, Surface, chunks, lattice, local
+from rfpp.gbuffer.surface import CLEARANCE, Surface, chunks
 from rfpp.scene.triangles import DIFFUSE, SPECULAR
-
-#: Triangles of a light up to which Lambert's formula is used.
-_FORMULA_UP_TO = 16
 
 
 def with_direct_light(
@@ -74,8 +71,7 @@ def gathered(
     shifts = rng.random((len(surface), sampler.lights + 1, 2))
     light = np.zeros((2, len(surface), 3))
     if sampler.lights:
-        per_point = max(samples, min(_FORMULA_UP_TO, len(sampler.corners)))
-        for rows in chunks(len(surface), per_point):
+        for rows in chunks(len(surface), samples):
             light[:, rows] = _gathered(sampler, surface.part(rows), shifts[rows], samples)
     return light
 
@@ -84,64 +80,56 @@ def _gathered(
     sampler: LightSampler, surface: Surface, shifts: Float[np.ndarray, "r lights_plus_1 2"], samples: int
 ) -> Float[np.ndarray, "2 r 3"]:
     """As `gathered`, of points with a displacement each."""
-    frame = surface.frame()
-    view = local(surface.view, frame)
-    shines = (surface.specular > 0).any(-1) & (view[:, 2] > 0)
-    diffuse, glossy = np.zeros((2, *surface.point.shape))
-    for light in range(sampler.lights):
-        target, emitter = sampler.points(light, lattice(samples, shifts[:, light]))
-        way = target - surface.point[:, None]
-        distance = np.linalg.norm(way, axis=-1)
-        way /= distance[..., None]
-        density = sampler.density(emitter, way, distance)
-        incoming = local(way, frame)
-        arriving = sampler.radiance[emitter].mean(-1) * incoming[..., 2].clip(0) / density
-        in_sight = arriving > 0
-        rows = np.nonzero(in_sight)[0]
-        reach = distance[in_sight] - CLEARANCE
-        in_sight[in_sight] = ~sampler.caster.occluded(surface.point[rows], way[in_sight], reach)
-
-        mine = np.flatnonzero(sampler.light == light)
-        if len(mine) <= _FORMULA_UP_TO:
-            unshadowed = form_factor(surface.point, surface.normal, sampler.corners[mine])
-            visible = (arriving * in_sight).sum(1) / np.maximum(arriving.sum(1), 1e-30)
-            diffuse += (unshadowed @ sampler.radiance[mine]) * visible[:, None]
-        else:
-            weight = incoming[..., 2].clip(0) / density * in_sight / (np.pi * samples)
-            diffuse += np.einsum("rs,rsc->rc", weight, sampler.radiance[emitter])
-
-        used = in_sight & shines[:, None]
-        rows = np.nonzero(used)[0]
-        reflected, by_lobe = _lobe(view[rows], incoming[used], surface.alpha[rows])
-        weight = reflected * _over_density(density[used], by_lobe)
-        np.add.at(glossy, rows, weight[:, None] * sampler.radiance[emitter[used]])
-
-    rows = np.repeat(np.flatnonzero(shines), samples)
-    incoming = ggx.sample(view[rows], surface.alpha[rows], lattice(samples, shifts[shines, -1]).reshape(-1, 2))
-    way = np.einsum("rk,rkx->rx", incoming, frame[rows])
-    hits = sampler.caster.cast(surface.point[rows], way)
-    emitter = sampler.emitter_of(hits.triangle)
-    used = (emitter >= 0) & (incoming[:, 2] > 0)
-    rows, emitter = rows[used], emitter[used]
-    reflected, by_lobe = _lobe(view[rows], incoming[used], surface.alpha[rows])
-    by_light = sampler.density(emitter, way[used], hits.distance[used].astype(np.float64))
-    np.add.at(glossy, rows, (reflected * _over_density(by_lobe, by_light))[:, None] * sampler.radiance[emitter])
-
-    glossy *= ggx.multiple_scattering(view[:, 2], surface.alpha, surface.specular) / samples
-    return np.stack([diffuse, glossy])
+    cosine = (surface.view * surface.normal).sum(-1)
+    shines = (surface.specular > 0).any(-1) & (cosine > 0)
+    seen = surface.normal, surface.view, np.where(shines, surface.alpha, -1.0)
+    light = np.zeros((2, len(surface), 3))
+    for number in range(sampler.lights):
+        _add_light(light, sampler, number, surface.point, seen, shifts[:, number], samples)
+    _add_lobe(light[1], sampler, surface.point, seen, shifts[:, -1], samples)
+    light[1] *= ggx.multiple_scattering(cosine, surface.alpha, surface.specular) / samples
+    return light
 
 
-def _lobe(
-    view: Float[np.ndarray, "n 3"], light: Float[np.ndarray, "n 3"], alpha: Float[np.ndarray, " n"]
-) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-    """What the glossy lobe reflects from each direction, and the density of its own samples there."""
-    return ggx.lobe(view, light, alpha), ggx.pdf(view, light, alpha)
+def _add_light(
+    light: Float[np.ndarray, "2 r 3"],
+    sampler: LightSampler,
+    number: int,
+    points: Float[np.ndarray, "r 3"],
+    seen: tuple[np.ndarray, ...],
+    shifts: Float[np.ndarray, "r 2"],
+    samples: int,
+) -> None:
+    """What shadow rays to one light bring.
 
-
-def _over_density(own: Float[np.ndarray, " n"], other: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-    """1 / own density, times the weight of a sample that the other way of sampling could have given too.
-
-    The power heuristic own² / (own² + other²) (Veach 1997): a sharp lobe is left to its own samples, which see the
-    light whole, where light samples would hit the lobe now and then and sparkle.
+    Args:
+        seen: normals, views and α, of which negative ones do not shine.
     """
-    return own / (own**2 + other**2)
+    one, shape = sampler.each[number], (len(points), samples)
+    way, (reach, density, arriving) = np.empty((*shape, 3)), np.empty((3, *shape))
+    emitter = np.empty(shape, np.int64)
+    toward_light(points, seen[0], np.ascontiguousarray(shifts), one, way, reach, density, emitter, arriving)
+    in_sight = arriving > 0
+    rows = np.nonzero(in_sight)[0]
+    in_sight[in_sight] = ~sampler.caster.occluded(points[rows], way[in_sight], reach[in_sight] - CLEARANCE)
+    from_light(points, *seen, one, way, density, emitter, arriving, in_sight, *light)
+
+
+def _add_lobe(
+    glossy: Float[np.ndarray, "r 3"],
+    sampler: LightSampler,
+    points: Float[np.ndarray, "r 3"],
+    seen: tuple[np.ndarray, ...],
+    shifts: Float[np.ndarray, "r 2"],
+    samples: int,
+) -> None:
+    """What rays of the glossy lobe bring that meet emitters."""
+    shining = np.flatnonzero(seen[2] >= 0)
+    way, cosine = np.empty((len(shining), samples, 3)), np.empty((len(shining), samples))
+    along_lobe(*(of_points[shining] for of_points in seen), shifts[shining], way, cosine)
+    rows, up = np.repeat(shining, samples).reshape(cosine.shape)[cosine > 0], way[cosine > 0]
+    hits = sampler.caster.cast(points[rows], up)
+    emitter = sampler.emitter_of(hits.triangle)
+    met = emitter >= 0
+    lit = rows[met], up[met], hits.distance[met].astype(np.float64), emitter[met]
+    from_lobe(*seen, *lit, sampler.whole, glossy)

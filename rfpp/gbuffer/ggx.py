@@ -11,6 +11,8 @@ from functools import cache
 import numpy as np
 from jaxtyping import Float
 
+from rfpp.gbuffer.compiled import compiled
+
 #: Below this α the lobe is narrower than any pixel, and float32 no longer resolves it.
 MIN_ALPHA = 1e-3
 
@@ -23,19 +25,12 @@ Scalars = Float[np.ndarray, "*batch"]
 
 def lobe(view: Vectors, light: Vectors, alpha: Scalars) -> Scalars:
     """BRDF · cosine of the light's direction, single scattering, untinted; 0 below the surface."""
-    above = (view[..., 2] > 0) & (light[..., 2] > 0)
-    half = _unit(view + light)
-    shadowing = 1 / (1 + _smith_lambda(view, alpha) + _smith_lambda(light, alpha))
-    value = _distribution(half, alpha) * shadowing / np.maximum(4 * view[..., 2], 1e-12)
-    return np.where(above, value, 0)
+    return _of_pairs(view, light, alpha)[0]
 
 
 def pdf(view: Vectors, light: Vectors, alpha: Scalars) -> Scalars:
     """Density per solid angle with which `sample` returns `light`."""
-    above = (view[..., 2] > 0) & (light[..., 2] > 0)
-    half = _unit(view + light)
-    masking = 1 / (1 + _smith_lambda(view, alpha))
-    return np.where(above, _distribution(half, alpha) * masking / np.maximum(4 * view[..., 2], 1e-12), 0)
+    return _of_pairs(view, light, alpha)[1]
 
 
 def sample(view: Vectors, alpha: Scalars, random: Float[np.ndarray, "*batch 2"]) -> Vectors:
@@ -43,14 +38,9 @@ def sample(view: Vectors, alpha: Scalars, random: Float[np.ndarray, "*batch 2"])
 
     Dupuy and Benyoub, "Sampling Visible GGX Normals with Spherical Caps", 2023.
     """
-    stretch = np.stack([alpha, alpha, np.ones_like(alpha)], axis=-1)
-    standard = _unit(view * stretch)
-    angle = 2 * np.pi * random[..., 0]
-    z = (1 - random[..., 1]) * (1 + standard[..., 2]) - standard[..., 2]
-    level = np.sqrt(np.clip(1 - z**2, 0, 1))
-    cap = np.stack([level * np.cos(angle), level * np.sin(angle), z], axis=-1)
-    half = _unit((cap + standard) * stretch)
-    return 2 * (view * half).sum(-1, keepdims=True) * half - view
+    way = np.empty((alpha.size, 3))
+    _sample_each(_rows(view), _flat(alpha), np.ascontiguousarray(random, np.float64).reshape(-1, 2), way)
+    return way.reshape(*alpha.shape, 3)
 
 
 def multiple_scattering(
@@ -62,17 +52,91 @@ def multiple_scattering(
     lobe's albedo and E_avg its cosine-weighted mean (Turquin, "Practical Multiple Scattering Compensation for
     Microfacet Models", 2019, with the colour of Kulla and Conty 2017).
     """
-    albedo, mean = _lobe_albedo()
-    row = np.sqrt(alpha) * (_TABLE - 1)
-    of_cosine = np.clip(cosine, 0, 1) * (_TABLE - 1)
-    i, j = (np.minimum(a.astype(int), _TABLE - 2) for a in (row, of_cosine))
-    u, v = row - i, of_cosine - j
-    near = albedo[i, j] * (1 - v) + albedo[i, j + 1] * v
-    far = albedo[i + 1, j] * (1 - v) + albedo[i + 1, j + 1] * v
-    e = (near * (1 - u) + far * u)[:, None]
-    e_avg = (mean[i] * (1 - u) + mean[i + 1] * u)[:, None]
-    bounced = specular * e_avg / (1 - specular * (1 - e_avg))
-    return 1 + bounced * (1 - e) / e
+    factor = np.empty((len(alpha), 3))
+    _scattering_each(_flat(cosine), _flat(alpha), _rows(specular), *_lobe_albedo(), factor)
+    return factor
+
+
+@compiled
+def lobe_and_pdf(view, light, alpha):
+    """See `lobe` and `pdf`: of two vectors (three numbers each)."""
+    if view[2] <= 0 or light[2] <= 0:
+        return 0.0, 0.0
+    x, y, z = unit(view[0] + light[0], view[1] + light[1], view[2] + light[2])
+    a2 = alpha * alpha
+    # sin² from x and y: 1 - z² would lose the narrow lobes to rounding
+    spread = max(z * z * a2 + x * x + y * y, 1e-20)
+    distribution = a2 / (np.pi * spread * spread) / max(4 * view[2], 1e-12)
+    masked, hidden = _smith_lambda(view, alpha), _smith_lambda(light, alpha)
+    return distribution / (1 + masked + hidden), distribution / (1 + masked)
+
+
+@compiled
+def sampled(view, alpha, u, v):
+    """See `sample`: of one vector."""
+    sx, sy, sz = unit(view[0] * alpha, view[1] * alpha, view[2])
+    angle = 2 * np.pi * u
+    z = (1 - v) * (1 + sz) - sz
+    level = np.sqrt(min(max(1 - z * z, 0.0), 1.0))
+    hx, hy, hz = unit((level * np.cos(angle) + sx) * alpha, (level * np.sin(angle) + sy) * alpha, z + sz)
+    twice = 2 * (view[0] * hx + view[1] * hy + view[2] * hz)
+    return twice * hx - view[0], twice * hy - view[1], twice * hz - view[2]
+
+
+@compiled
+def unit(x, y, z):
+    """The vector's direction."""
+    length = max(np.sqrt(x * x + y * y + z * z), 1e-20)
+    return x / length, y / length, z / length
+
+
+@compiled
+def _smith_lambda(direction, alpha):
+    """Smith's Λ: masked microsurface per visible microsurface (Walter et al. 2007)."""
+    level2 = direction[0] * direction[0] + direction[1] * direction[1]
+    z2 = max(direction[2] * direction[2], 1e-12)
+    return 0.5 * (np.sqrt(1 + alpha * alpha * level2 / z2) - 1)
+
+
+@compiled
+def _lobe_and_pdf_each(view, light, alpha, found):
+    for row in range(len(alpha)):
+        found[0, row], found[1, row] = lobe_and_pdf(view[row], light[row], alpha[row])
+
+
+@compiled
+def _sample_each(view, alpha, random, way):
+    for row in range(len(alpha)):
+        way[row, 0], way[row, 1], way[row, 2] = sampled(view[row], alpha[row], random[row, 0], random[row, 1])
+
+
+@compiled
+def _scattering_each(cosine, alpha, specular, albedo, mean, factor):
+    last = len(mean) - 1
+    for row in range(len(alpha)):
+        u, v = np.sqrt(alpha[row]) * last, min(max(cosine[row], 0.0), 1.0) * last
+        i, j = min(int(u), last - 1), min(int(v), last - 1)
+        u, v = u - i, v - j
+        near = albedo[i, j] * (1 - v) + albedo[i, j + 1] * v
+        far = albedo[i + 1, j] * (1 - v) + albedo[i + 1, j + 1] * v
+        e, e_avg = near * (1 - u) + far * u, mean[i] * (1 - u) + mean[i + 1] * u
+        for c in range(3):
+            bounced = specular[row, c] * e_avg / (1 - specular[row, c] * (1 - e_avg))
+            factor[row, c] = 1 + bounced * (1 - e) / e
+
+
+def _of_pairs(view: Vectors, light: Vectors, alpha: Scalars) -> Float[np.ndarray, 2 * batch]:
+    found = np.empty((2, alpha.size))
+    _lobe_and_pdf_each(_rows(view), _rows(light), _flat(alpha), found)
+    return found.reshape(2, *alpha.shape)
+
+
+def _rows(vectors: np.ndarray) -> Float[np.ndarray, "n 3"]:
+    return np.ascontiguousarray(vectors, np.float64).reshape(-1, 3)
+
+
+def _flat(numbers: np.ndarray) -> Float[np.ndarray, " n"]:
+    return np.ascontiguousarray(numbers, np.float64).reshape(-1)
 
 
 @cache
@@ -89,27 +153,8 @@ def _lobe_albedo() -> tuple[Float[np.ndarray, "table table"], Float[np.ndarray, 
         view = np.broadcast_to(view, (_TABLE_SAMPLES, _TABLE, 3))
         alphas = np.full(view.shape[:-1], alpha[row])
         light = sample(view, alphas, np.broadcast_to(random[:, None], (_TABLE_SAMPLES, _TABLE, 2)))
-        shadowing = (1 + _smith_lambda(view, alphas)) / (1 + _smith_lambda(view, alphas) + _smith_lambda(light, alphas))
-        albedo[row] = np.where(light[..., 2] > 0, shadowing, 0).mean(0)
+        value, density = _of_pairs(view, light, alphas)
+        albedo[row] = np.divide(value, density, out=np.zeros_like(value), where=density > 0).mean(0)
     fine = (np.arange(8 * _TABLE) + 0.5) / (8 * _TABLE)
     curves = np.stack([np.interp(fine, cosine, row) for row in albedo])
     return albedo, 2 * (curves * fine).mean(axis=1)
-
-
-def _distribution(half: Vectors, alpha: Scalars) -> Scalars:
-    """Density of GGX normals (Walter et al. 2007)."""
-    z2, a2 = half[..., 2] ** 2, alpha**2
-    # sin² from x and y: 1 - z² would lose the narrow lobes to rounding
-    spread = z2 * a2 + half[..., 0] ** 2 + half[..., 1] ** 2
-    return a2 / (np.pi * np.maximum(spread, 1e-20) ** 2)
-
-
-def _smith_lambda(direction: Vectors, alpha: Scalars) -> Scalars:
-    """Smith's Λ: masked microsurface per visible microsurface."""
-    level2 = direction[..., 0] ** 2 + direction[..., 1] ** 2
-    z2 = np.maximum(direction[..., 2] ** 2, 1e-12)
-    return 0.5 * (np.sqrt(1 + alpha**2 * level2 / z2) - 1)
-
-
-def _unit(vectors: Vectors) -> Vectors:
-    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-20)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
+from rfpp.gbuffer.compiled import compiled
+
 
 def form_factor(
     points: Float[np.ndarray, "r 3"], normals: Float[np.ndarray, "r 3"], corners: Float[np.ndarray, "e 3 3"]
@@ -15,30 +17,53 @@ def form_factor(
     plane through the point and an edge) over the edges of the visible part, along the surface normal, over 2π; where
     the horizon cuts the triangle, the cut is one more edge (Lambert 1760; Baum et al. 1989 for the clipping).
     """
-    to_corner = corners[None] - points[:, None, None]  # [R, E, 3, 3]
-    height = np.einsum("reck,rk->rec", to_corner, normals)
-    total = np.zeros(height.shape[:2])
-    leaving, entering = np.zeros_like(to_corner[:, :, 0]), np.zeros_like(to_corner[:, :, 0])
+    factors = np.empty((len(points), len(corners)))
+    _each(*(np.ascontiguousarray(x, np.float64) for x in (points, normals, corners)), factors)
+    return factors
+
+
+@compiled
+def _each(points, normals, corners, factors):
+    for row in range(len(points)):
+        for triangle in range(len(corners)):
+            factors[row, triangle] = of_triangle(points[row], normals[row], corners[triangle])
+
+
+@compiled
+def of_triangle(point, normal, corners):
+    """See `form_factor`: of one triangle at one point."""
+    total = 0.0
+    leaving, entering = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+    cut = False
     for k in range(3):
-        a, b = to_corner[:, :, k], to_corner[:, :, (k + 1) % 3]
-        ha, hb = height[:, :, k, None], height[:, :, (k + 1) % 3, None]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            crossing = a + (b - a) * (ha / (ha - hb))  # used only where the signs differ
-        down, up = (ha > 0) & (hb <= 0), (ha <= 0) & (hb > 0)
-        leaving, entering = np.where(down, crossing, leaving), np.where(up, crossing, entering)
-        start, end = np.where(up, crossing, a), np.where(down, crossing, b)
-        term = _edge(start, end, normals)
-        total += np.where(((ha > 0) | (hb > 0))[..., 0], term, 0)
-    cut = (height > 0).any(-1) & (height <= 0).any(-1)
-    total += np.where(cut, _edge(leaving, entering, normals), 0)
-    return np.abs(total) / (2 * np.pi)
+        a, ha = _seen(point, normal, corners[k])
+        b, hb = _seen(point, normal, corners[(k + 1) % 3])
+        if ha <= 0 and hb <= 0:
+            continue
+        if (ha > 0) != (hb > 0):
+            share, cut = ha / (ha - hb), True
+            crossing = a[0] + (b[0] - a[0]) * share, a[1] + (b[1] - a[1]) * share, a[2] + (b[2] - a[2]) * share
+            if ha > 0:
+                b = leaving = crossing
+            else:
+                a = entering = crossing
+        total += _edge(a, b, normal)
+    if cut:
+        total += _edge(leaving, entering, normal)
+    return abs(total) / (2 * np.pi)
 
 
-def _edge(
-    a: Float[np.ndarray, "r e 3"], b: Float[np.ndarray, "r e 3"], normals: Float[np.ndarray, "r 3"]
-) -> Float[np.ndarray, "r e"]:
+@compiled
+def _seen(point, normal, corner):
+    """The corner from the point, and its height above the horizon."""
+    x, y, z = corner[0] - point[0], corner[1] - point[1], corner[2] - point[2]
+    return (x, y, z), x * normal[0] + y * normal[1] + z * normal[2]
+
+
+@compiled
+def _edge(a, b, normal):
     """angle(a, b) · (unit a × b) · normal."""
-    cross = np.cross(a, b)
-    size = np.linalg.norm(cross, axis=-1)
-    angle = np.arctan2(size, (a * b).sum(-1))
-    return np.einsum("rek,rk->re", cross, normals) * angle / np.maximum(size, 1e-30)
+    x, y, z = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+    size = np.sqrt(x * x + y * y + z * z)
+    angle = np.arctan2(size, a[0] * b[0] + a[1] * b[1] + a[2] * b[2])
+    return (x * normal[0] + y * normal[1] + z * normal[2]) * angle / max(size, 1e-30)

@@ -60,8 +60,8 @@ class Surface:
         material = triangles.material[triangle].astype(np.float64)
         return cls(
             point=position + CLEARANCE * geometric,
-            normal=normal,
-            view=view,
+            normal=normal.astype(np.float64),
+            view=view.astype(np.float64),
             diffuse=material[:, DIFFUSE],
             specular=material[:, SPECULAR],
             alpha=np.maximum(material[:, ROUGHNESS][:, 0] ** 2, ggx.MIN_ALPHA),

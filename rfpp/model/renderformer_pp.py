@@ -124,13 +124,14 @@ class RenderFormerPP(nn.Module):
         fov: Float[Tensor, "b v"],
         gbuffer: Float[Tensor, "b v c h w"],
         supersampling: int = 1,
+        stride: int = 1,
     ) -> Float[Tensor, "b v 3 height width"]:
         """The view-dependent stage: log10(1 + radiance) of V views of each scene, float32.
 
         Args:
-            gbuffer, supersampling: see `ViewDecoder.forward`.
+            gbuffer, supersampling, stride: see `ViewDecoder.forward`.
         """
-        radiance = self.decoder(scenes.tokens, c2w, fov, gbuffer, scenes.exposure, supersampling)
+        radiance = self.decoder(scenes.tokens, c2w, fov, gbuffer, scenes.exposure, supersampling, stride)
         return log_encode(scenes.exposure[:, None, None, None, None] * radiance)
 
     @property

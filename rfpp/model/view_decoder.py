@@ -17,6 +17,7 @@ from rfpp.model.camera_space import to_camera
 from rfpp.model.dpt import LEVELS, DPTHead
 from rfpp.model.encoding import RelativeSpatialEncoding, Rotation, rotate
 from rfpp.model.film import CentreSample, PixelFilter
+from rfpp.model.guided_upsampling import GuidedUpsampling
 from rfpp.model.ray_bundle import CameraOrigin, FirstHitPosition, RayBundleEmbedding
 from rfpp.model.ray_windows import ShiftedWindows, WholeView
 from rfpp.model.shading import Shading
@@ -62,6 +63,7 @@ class ViewDecoder(nn.Module):
             raise ValueError(f"the image head reads the last {LEVELS} decoder layers, but there are {layers}")
         self.rays = RayBundleEmbedding(width, patch_size, gbuffer_channels)
         self.ray_position, self.shading, self.film, self.windows = ray_position, shading, film, windows
+        self.upsampling = GuidedUpsampling()
         self.position = RelativeSpatialEncoding(width // heads, frequencies)
         self.blocks = nn.ModuleList(DecoderBlock(width, heads, hidden) for _ in range(layers))
         self.head = DPTHead(width, head_level_channels, head_channels, patch_size, shading.maps)
@@ -74,6 +76,7 @@ class ViewDecoder(nn.Module):
         gbuffer: Float[Tensor, "b v c h w"],
         exposure: Float[Tensor, " b"],
         supersampling: int = 1,
+        stride: int = 1,
     ) -> Float[Tensor, "b v 3 height width"]:
         """Linear radiance of every view of every scene, in units of its exposure.
 
@@ -82,19 +85,23 @@ class ViewDecoder(nn.Module):
             exposure: radiance that the scene tokens call 1; what the decoder reads of light is divided by it.
             supersampling: points of the G-buffer along each side of a pixel. Tokens read their means, radiance is
                 shaded point by point: smooth outlines for the price of a finer G-buffer.
+            stride: pixels along each side of what is one pixel to tokens and head. What the head says is carried to
+                pixels by a guided filter, and light is gathered and shaded there.
         """
         batch, views, _, *size = gbuffer.shape
         height, width = (points // supersampling for points in size)
+        coarse = (height // stride, width // stride)
         unit = exposure.repeat_interleave(views)
         of_points = ViewChannels(gbuffer.flatten(0, 1), self.gbuffer_channels, unit)
         of_pixels = self._completed(of_points.pooled(supersampling), scene)
-        rays = self.rays(fov.flatten(), of_pixels(self.rays.gbuffer_channels))  # [B V, patches, D]
+        of_rays = of_pixels.pooled(stride)
+        rays = self.rays(fov.flatten(), of_rays(self.rays.gbuffer_channels))  # [B V, patches, D]
         patches = rays.shape[1]
-        grid = (height // self.rays.patch_size, width // self.rays.patch_size)
+        grid = tuple(side // self.rays.patch_size for side in coarse)
         in_view = Segments.from_lengths([patches] * (batch * views), rays.device)
         seen = SeenTokens.by(scene, c2w)
 
-        side = self.rays.patch_size * supersampling
+        side = self.rays.patch_size * stride * supersampling
         ray_points = self.ray_position(of_points(self.ray_position.channels), side)
         ray_rotation = None if ray_points is None else self.position(ray_points)
         seen_rotation = self.position(seen.points)
@@ -106,8 +113,12 @@ class ViewDecoder(nn.Module):
             x = block(x, scene.features, seen.rows, to_scene, next(among_rays), ray_rotation, seen_rotation)
             features.append(x)
 
-        maps = [f.view(batch * views, *grid, -1).permute(0, 3, 1, 2) for f in features[-LEVELS:]]
-        radiance = self._shaded(self.head(maps, height, width), scene, of_pixels, of_points, supersampling)
+        levels = [f.view(batch * views, *grid, -1).permute(0, 3, 1, 2) for f in features[-LEVELS:]]
+        maps = self.head(levels, *coarse)
+        if stride > 1:
+            guides = (of.linear(self.upsampling.channels) for of in (of_rays, of_pixels))
+            maps = self.upsampling(maps.float(), *guides)
+        radiance = self._shaded(maps, scene, of_pixels, of_points, supersampling)
         return self.film(radiance).view(batch, views, 3, height, width)
 
     def _completed(self, of_pixels: ViewChannels, scene: SceneTokens) -> ViewChannels:
