@@ -89,14 +89,14 @@ class Studio:
 
     def stills(self, scene: PackedScene, files: Sequence[Path]) -> Sequence[Path]:
         """A picture from each camera."""
-        layers, sampling = self.request.layers, (self.request.light_samples, self.request.supersampling)
+        layers, sampling = self.request.layers, self.request.sampling
         gbuffer = GBufferSource(layers).of(scene, *self.size, self.request.light_samples)
 
         def write(image, view: int) -> None:
             write_still(image, files[view], self.tone_map, exr_layers(gbuffer(view), layers))
 
         begin = time.perf_counter()
-        views = self.renderer.views(scene, self.size, None, *sampling)
+        views = self.renderer.views(scene, self.size, **sampling)
         images = list(written_beside(views, range(len(files)), write))
         many = f"{len(files)} view{'s' * (len(files) > 1)} of {self.size[1]} x {self.size[0]}"
         self.console.print(f"{scene.name}: {many} in {time.perf_counter() - begin:.2f} s")
@@ -105,7 +105,7 @@ class Studio:
             with self.console.status(f"Path tracing {many} at {self.cycles.samples} samples …"):
                 [(references, seconds)] = path_traced([scene], self.size, self.cycles)
             self.console.print(f"{scene.name}: reference of {self.cycles.samples} samples in {seconds:.2f} s")
-            others = {who: other.render(scene, self.size, None, *sampling) for who, other in self.beside.items()}
+            others = {who: other.render(scene, self.size, **sampling) for who, other in self.beside.items()}
             for view, (image, reference, file) in enumerate(zip(images, references, files, strict=True)):
                 seen = {who: pictures[view] for who, pictures in others.items()}
                 notes[view] = f": FLIP {write_comparison(image, reference, file, self.tone_map, seen):.3f}"
@@ -118,7 +118,7 @@ class Studio:
         film, say = Film(frames, file.with_name(f"{file.stem}_frames"), self.size), self.console.print
         begin = time.perf_counter()
         with counting(self.console, "frames") as (show, _):
-            made = film.render(self.renderer, self.request.light_samples, self.request.supersampling, show)
+            made = film.render(self.renderer, self.request.sampling, show)
         took = f"{made} rendered in {time.perf_counter() - begin:.2f} s"
         say(f"{file.stem}: {len(frames)} frames of {self.size[1]} x {self.size[0]}, {took}")
         say(f"  {write_video(film.pictures(self.tone_map), file, self.request.fps)}, frames in {film.folder}")

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from rfpp.errors import UserError
+from rfpp.gbuffer.compiled import compiled
 from rfpp.gbuffer.raycast import RayCaster
 from rfpp.scene.camera import pixel_plane, pixel_rays
 from rfpp.scene.triangles import DIFFUSE, ROUGHNESS, SPECULAR, SceneTriangles
@@ -231,9 +232,28 @@ def facing_normals(
         hit: [R] triangles.
         barycentric: [R, 3] weights of their corners.
     """
-    normals = np.einsum("rc,rcx->rx", barycentric, triangles.normals[hit])
-    normals /= np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-12)
-    corners = triangles.positions[hit]
-    geometric = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    behind = np.einsum("rx,rx->r", geometric, directions) > 0
-    return np.where(behind[:, None], -normals, normals)
+    normals = np.empty((len(hit), 3), np.float32)
+    _facing_normals(triangles.positions, triangles.normals, hit, barycentric, directions, normals)
+    return normals
+
+
+@compiled
+def _facing_normals(positions, corner_normals, hit, barycentric, directions, normals):
+    for row in range(len(hit)):
+        (a, b, c), way = positions[hit[row]], directions[row]
+        x, y, z = normal_of(a, b, c)
+        side = -1.0 if x * way[0] + y * way[1] + z * way[2] > 0 else 1.0
+        (weight_a, weight_b, weight_c), (a, b, c) = barycentric[row], corner_normals[hit[row]]
+        x = weight_a * a[0] + weight_b * b[0] + weight_c * c[0]
+        y = weight_a * a[1] + weight_b * b[1] + weight_c * c[1]
+        z = weight_a * a[2] + weight_b * b[2] + weight_c * c[2]
+        side /= max(np.sqrt(x * x + y * y + z * z), 1e-12)
+        normals[row, 0], normals[row, 1], normals[row, 2] = side * x, side * y, side * z
+
+
+@compiled
+def normal_of(a, b, c):
+    """Along the normal of a triangle, as long as twice its area."""
+    ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+    vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
+    return uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx

@@ -40,6 +40,7 @@ class RayCaster:
         self._positions = np.array(positions, dtype=np.float32, order="C")
         self._scene = embree_scene()
         self._mesh = embree_mesh(self._scene, self._positions) if len(self) else None
+        self.cast(np.zeros((1, 3)), np.ones((1, 3)))  # the first ray builds the structure; threads may send the next
 
     def __len__(self) -> int:
         """The number of triangles."""

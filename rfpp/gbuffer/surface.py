@@ -10,7 +10,8 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from rfpp.gbuffer import ggx
-from rfpp.gbuffer.first_hit import GBuffer, camera_positions
+from rfpp.gbuffer.compiled import compiled
+from rfpp.gbuffer.first_hit import GBuffer, camera_positions, normal_of
 from rfpp.scene.triangles import DIFFUSE, ROUGHNESS, SPECULAR, SceneTriangles
 
 #: Rays start and end this far from surfaces, in world units (a scene's edge is 1).
@@ -50,21 +51,17 @@ class Surface:
 
         An eye that lies in the point itself looks along the normal.
         """
-        view = eye - position
-        distance = np.linalg.norm(view, axis=-1, keepdims=True)
-        view = np.where(distance > 0, view / np.where(distance > 0, distance, 1), normal)
-        corners = triangles.positions[triangle].astype(np.float64)
-        geometric = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        geometric /= np.linalg.norm(geometric, axis=-1, keepdims=True)
-        geometric *= np.where((geometric * view).sum(-1, keepdims=True) < 0, -1.0, 1.0)
-        material = triangles.material[triangle].astype(np.float64)
+        position, normal = (np.ascontiguousarray(x, np.float64) for x in (position, normal))
+        eye = np.broadcast_to(np.asarray(eye, np.float64), position.shape)
+        point, view, material = np.empty_like(position), np.empty_like(position), triangles.material[triangle]
+        _in_front(triangles.positions, triangle, position, normal, eye, point, view)
         return cls(
-            point=position + CLEARANCE * geometric,
-            normal=normal.astype(np.float64),
-            view=view.astype(np.float64),
-            diffuse=material[:, DIFFUSE],
-            specular=material[:, SPECULAR],
-            alpha=np.maximum(material[:, ROUGHNESS][:, 0] ** 2, ggx.MIN_ALPHA),
+            point=point,
+            normal=normal,
+            view=view,
+            diffuse=material[:, DIFFUSE].astype(np.float64),
+            specular=material[:, SPECULAR].astype(np.float64),
+            alpha=np.maximum(material[:, ROUGHNESS][:, 0].astype(np.float64) ** 2, ggx.MIN_ALPHA),
         )
 
     @classmethod
@@ -93,6 +90,28 @@ class Surface:
         first = np.stack([1 + sign * x * x * a, sign * b, -sign * x], axis=-1)
         second = np.stack([b, sign + y * y * a, -y], axis=-1)
         return np.stack([first, second, self.normal], axis=1)
+
+
+@compiled
+def _in_front(positions, triangle, position, normal, eye, point, view):
+    """Fills in where rays start, and the unit direction to the eye."""
+    for row in range(len(triangle)):
+        here = position[row]
+        wx, wy, wz = eye[row, 0] - here[0], eye[row, 1] - here[1], eye[row, 2] - here[2]
+        distance = np.sqrt(wx * wx + wy * wy + wz * wz)
+        if distance > 0:
+            wx, wy, wz = wx / distance, wy / distance, wz / distance
+        else:
+            wx, wy, wz = normal[row]
+        view[row, 0], view[row, 1], view[row, 2] = wx, wy, wz
+        a, b, c = positions[triangle[row]].astype(np.float64)
+        x, y, z = normal_of(a, b, c)
+        clearance = CLEARANCE / np.sqrt(x * x + y * y + z * z)
+        if x * wx + y * wy + z * wz < 0:
+            clearance = -clearance
+        point[row, 0] = here[0] + clearance * x
+        point[row, 1] = here[1] + clearance * y
+        point[row, 2] = here[2] + clearance * z
 
 
 def local(vectors: Float[np.ndarray, "r *s 3"], frame: Float[np.ndarray, "r 3 3"]) -> Float[np.ndarray, "r *s 3"]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -38,21 +38,21 @@ class Film:
         self.frames, self.folder, self.size = frames, folder, size
         self._predicted = self._traced = None
 
-    def render(self, renderer: Renderer, light_samples: int, supersampling: int, show: Show) -> int:
+    def render(self, renderer: Renderer, sampling: Mapping[str, int | None], show: Show) -> int:
         """Render what is not there yet; returns how many. A scene that only the camera moves through is encoded once.
 
         Args:
-            light_samples, supersampling: see `Renderer.render`.
+            sampling: of `Renderer.render`, by name.
 
         Raises:
             UserError: a frame cannot be made or written; those before it are kept.
         """
-        chosen = f"{renderer.dtype} {self.size} {light_samples} {supersampling}"
+        chosen = f"{renderer.dtype} {self.size} {dict(sampling)}"
         origin = digest(weights_digest(renderer.network), chosen.encode())
         self._predicted, made = FrameFolder(self.folder, origin), 0
         for shots in _of_one_scene(self._predicted.missing(self.frames)):
             show(shots[0].number, len(self.frames))
-            images = renderer.views(_together(shots), self.size, None, light_samples, supersampling)
+            images = renderer.views(_together(shots), self.size, **sampling)
             for shot, _ in zip(shots, written_beside(images, shots, self._predicted.write), strict=True):
                 made += 1
                 show(shot.number + 1, len(self.frames))

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from functools import partial
 from hashlib import blake2b
 from typing import Any
 
@@ -78,15 +81,25 @@ class GBufferSource:
         def channels(view: int) -> Float[np.ndarray, "c h w"]:
             c2w, fov = scene.c2w[view], scene.fov[view]
             gbuffer = self._first_hit(triangles, geometry, c2w, fov, height, width)
-            for gather, light in ((with_direct_light, DIRECT_CHANNELS), (with_reflection, REFLECTION_CHANNELS)):
-                if not set(self.channels).isdisjoint(light):
-                    gbuffer = gather(gbuffer, c2w, fov, self._lights(triangles, geometry), light_samples)
-            if not set(self.channels).isdisjoint((*CELL_CHANNELS, HIGHLIGHTS)):
-                lights, (_, cells) = self._lights(triangles, geometry), self._cells(triangles, geometry)
-                gbuffer = with_cells(gbuffer, c2w, fov, lights, cells, points)
+            seen, lights = (gbuffer, c2w, fov), partial(self._lights, triangles, geometry)
+            gathering: dict[str, Callable[[], GBuffer]] = {}  # what of a G-buffer → how it gets it
+            if self._wants(DIRECT_CHANNELS):
+                gathering["light"] = partial(with_direct_light, *seen, lights(), light_samples)
+            if self._wants(REFLECTION_CHANNELS):
+                gathering["reflection"] = partial(with_reflection, *seen, lights(), light_samples)
+            if self._wants((*CELL_CHANNELS, HIGHLIGHTS)):
+                _, cells = self._cells(triangles, geometry)
+                gathering["cells"] = partial(with_cells, *seen, lights(), cells, points)
+            if gathering:
+                with ThreadPoolExecutor(len(gathering), "light") as beside:  # loops that hold no lock
+                    parts = {name: beside.submit(gather) for name, gather in gathering.items()}
+                gbuffer = replace(gbuffer, **{name: getattr(part.result(), name) for name, part in parts.items()})
             return stack_channels(gbuffer, triangles.material, fov, self.channels)
 
         return channels
+
+    def _wants(self, channels: Collection[str]) -> bool:
+        return not set(self.channels).isdisjoint(channels)
 
     def object_light(self, triangles: SceneTriangles) -> Float[np.ndarray, "o 3"]:
         """See `rfpp.gbuffer.object_light`."""

@@ -45,6 +45,7 @@ class Request(Strict):
         exposure: stops.
         light_samples: shadow rays per light and pixel, and rays into reflections.
         supersampling: points along each side of a pixel.
+        token_resolution: of the image as ray tokens see it, or None for what is usual.
         fps: of films.
         reference, reference_settings: whether Cycles renders too, and by which file of conf/reference.
         device: of torch, or None to choose.
@@ -61,6 +62,7 @@ class Request(Strict):
     exposure: Annotated[float, Field(ge=-64, le=64)]
     light_samples: Positive
     supersampling: Positive
+    token_resolution: Positive | None
     fps: Annotated[float, Field(gt=0, le=1000)]
     reference: bool
     reference_settings: str
@@ -97,6 +99,11 @@ class Request(Strict):
     def load(self, scene: Path) -> Scene | PackedScene:
         """One of the scenes."""
         return Scene.load(scene, triangles=self.triangles, up=self.up, transparent=self.transparent)
+
+    @property
+    def sampling(self) -> dict[str, int | None]:
+        """Of `Renderer.render`, by name."""
+        return {name: getattr(self, name) for name in ("light_samples", "supersampling", "token_resolution")}
 
     def one_camera(self) -> int:
         """For a film; the first if none was asked for. Raises UserError for several."""

@@ -54,7 +54,8 @@ def edits() -> Frames:
 def make(frames, folder, renderer, light_samples=4, supersampling=2) -> tuple[int, list]:
     """How many were rendered, and what the progress bar was told."""
     told = []
-    made = Film(frames, folder, SIZE).render(renderer, light_samples, supersampling, lambda *count: told.append(count))
+    sampling = {"light_samples": light_samples, "supersampling": supersampling}
+    made = Film(frames, folder, SIZE).render(renderer, sampling, lambda *count: told.append(count))
     return made, told
 
 
@@ -116,7 +117,7 @@ def test_frames_of_other_settings_or_weights_are_not_kept(renderer, tmp_path):
     assert make(orbit(), tmp_path, Renderer(network(seed=1), checkpoint_info()), light_samples=5)[0] == 3
     assert make(orbit(), tmp_path, renderer, light_samples=5, supersampling=3)[0] == 3
     film = Film(orbit(), tmp_path, (16, 16))
-    assert film.render(renderer, 5, 3, lambda *_: None) == 3
+    assert film.render(renderer, {"light_samples": 5, "supersampling": 3}, lambda *_: None) == 3
 
 
 def test_what_was_rendered_before_a_mistake_is_kept(renderer, tmp_path):
@@ -130,7 +131,7 @@ def test_what_was_rendered_before_a_mistake_is_kept(renderer, tmp_path):
     film = Film(Frames(3, at), tmp_path, SIZE)
     broken[2] = True
     with pytest.raises(UserError, match="scene 2: is broken"):
-        film.render(renderer, 4, 2, lambda *_: None)
+        film.render(renderer, {"light_samples": 4, "supersampling": 2}, lambda *_: None)
     assert (tmp_path / "00000.exr").is_file()
     assert make(orbit(), tmp_path, renderer)[0] == 2
 
@@ -145,7 +146,7 @@ def test_references_are_kept_like_frames_and_stand_beside_the_prediction(rendere
 
     monkeypatch.setattr(rfpp.inference.film, "path_traced", path_traced)
     film = Film(edits(), tmp_path, SIZE)
-    film.render(renderer, 4, 2, lambda *_: None)
+    film.render(renderer, {"light_samples": 4, "supersampling": 2}, lambda *_: None)
     told = []
     assert film.path_trace(CYCLES, lambda *count: told.append(count)) == len(traced) == 3
     assert told[0] == (0, 3) and told[-1] == (3, 3)

@@ -67,7 +67,7 @@ def test_any_resolution_that_divides_into_patches(renderer, scene):
         renderer.render(scene, 30)
 
 
-@pytest.mark.parametrize("none", [{"light_samples": 0}, {"supersampling": 0}])
+@pytest.mark.parametrize("none", [{"light_samples": 0}, {"supersampling": 0}, {"token_resolution": 0}])
 def test_no_samples_are_refused(renderer, scene, none):
     with pytest.raises(UserError, match="give 1 or more of each"):
         renderer.render(scene, **none)
