@@ -7,6 +7,7 @@ from typing import Any
 
 import torch
 from torch import Tensor, nn
+from torch.overrides import TorchFunctionMode
 
 from rfpp.errors import CheckpointError
 from rfpp.model.renderformer_pp import RenderFormerPP
@@ -24,7 +25,7 @@ def build_network(config: Any, weights: dict[str, Tensor], where: str) -> Render
     Raises:
         CheckpointError: naming `where`: the configuration is not of a network, or of another than the weights are.
     """
-    with torch.device("meta"):
+    with torch.device("meta"), _ShapesOnly():
         shape = build(config, where)
     if not isinstance(shape, RenderFormerPP):
         raise CheckpointError(f"{where}: its configuration is of no network: use the version that made it")
@@ -56,6 +57,15 @@ def build(config: Any, where: str) -> Any:
     except Exception as error:  # constructors were not written for what a stranger's file may give them
         reason = (str(error).strip() or type(error).__name__).splitlines()[0][:160]
         raise CheckpointError(f"{where}: cannot build {target} ({reason}): use the version that made it") from None
+
+
+class _ShapesOnly(TorchFunctionMode):
+    """Without memory there are no values to compute, and trying to imports PyTorch's compiler, which takes a second."""
+
+    _OF_ONE_SHAPE = (torch.Tensor.normal_, torch.Tensor.__rpow__)
+
+    def __torch_function__(self, func, types, args=(), kwargs=None):
+        return args[0] if func in self._OF_ONE_SHAPE else func(*args, **(kwargs or {}))
 
 
 def require_fitting(network: nn.Module, weights: dict[str, Tensor], where: str) -> None:

@@ -207,7 +207,6 @@ def has_varlen_kernel(q: Float[Tensor, "n h d"]) -> bool:
     return q.is_cuda and q.dtype in (torch.float16, torch.bfloat16) and q.shape[-1] % 8 == 0 and q.shape[-1] <= 256
 
 
-@torch.compiler.disable  # a plan of NumPy's, and kernels that are fused already
 def attend_bucketed(q: Tensor, k: Tensor, v: Tensor, pattern: AttentionPattern) -> Tensor:
     """Dense attention per bucket of similar key lengths."""
     qs, ks, vs = pattern.query_layout.pad(q), pattern.key_layout.pad(k), pattern.key_layout.pad(v)

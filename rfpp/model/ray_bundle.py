@@ -39,7 +39,7 @@ class RayBundleEmbedding(nn.Module):
         channels = 3 + sum(SIZES[name] for name in self.gbuffer_channels)
         self.proj = nn.Linear(channels * patch_size**2, width)
         self.norm = RMSNorm(width, eps=FLOAT32_EPS)
-        self.token = nn.Parameter(0.02 * torch.randn(width))
+        self.token = nn.Parameter(torch.empty(width).normal_(std=0.02))
 
     def forward(self, fov: Float[Tensor, " n"], gbuffer: Float[Tensor, "n c h w"]) -> Float[Tensor, "n patches width"]:
         """Raises ValueError when the image does not divide into patches."""

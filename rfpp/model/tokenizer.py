@@ -63,7 +63,7 @@ class TriangleTokens(nn.Module):
 
     def __init__(self, width: int, registers: int):
         super().__init__()
-        self.registers = nn.Parameter(0.02 * torch.randn(registers, width))
+        self.registers = nn.Parameter(torch.empty(registers, width).normal_(std=0.02))
 
     def forward(self, triangles: Float[Tensor, "m width"], batch: RaggedBatch) -> SceneTokens:
         device, scenes, registers = triangles.device, len(batch.scenes), len(self.registers)
@@ -109,7 +109,7 @@ class ObjectTokens(nn.Module):
         super().__init__()
         self.position = RelativeSpatialEncoding(width // heads, frequencies)
         self.encoder = nn.ModuleList(SelfBlock(width, heads, hidden) for _ in range(encoder_layers))
-        self.queries = nn.Parameter(0.02 * torch.randn(queries, width))
+        self.queries = nn.Parameter(torch.empty(queries, width).normal_(std=0.02))
         self.gather = nn.ModuleList(CrossBlock(width, heads, hidden) for _ in range(cross_layers))
         self.mix = nn.ModuleList(SelfBlock(width, heads, hidden) for _ in range(cross_layers - 1))
         self.norm = RMSNorm(width)

@@ -25,7 +25,7 @@ class TriangleEmbedding(nn.Module):
 
     def __init__(self, width: int, normal_frequencies: int):
         super().__init__()
-        self.token = nn.Parameter(0.02 * torch.randn(width))
+        self.token = nn.Parameter(torch.empty(width).normal_(std=0.02))
         self.material_proj = nn.Linear(MATERIAL_CHANNELS, width)
         self.material_norm = RMSNorm(width, eps=FLOAT32_EPS)
         self.normal_encoding = FrequencyEncoding(normal_frequencies)
@@ -65,7 +65,7 @@ class TexturePatchEmbedding(nn.Module):
 
     def __init__(self, width: int, normal_frequencies: int, patch_size: int):
         super().__init__()
-        self.token = nn.Parameter(0.02 * torch.randn(width))
+        self.token = nn.Parameter(torch.empty(width).normal_(std=0.02))
         self.texture_proj = nn.Linear(TEXTURE_CHANNELS * patch_size**2, width)
         self.texture_norm = RMSNorm(width, eps=FLOAT32_EPS)
         self.normal_encoding = FrequencyEncoding(normal_frequencies)

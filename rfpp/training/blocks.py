@@ -11,6 +11,7 @@ from torch.utils.checkpoint import checkpoint
 
 from rfpp.batch import RaggedBatch
 from rfpp.errors import UserError
+from rfpp.model import attention
 from rfpp.model.block import CrossBlock, SelfBlock
 from rfpp.model.renderformer_pp import RenderFormerPP
 from rfpp.model.tokenizer import ObjectTokens, SceneTokens
@@ -23,6 +24,8 @@ def compile_blocks(network: nn.Module) -> None:
     Blocks of one kind share their code, and what surrounds them, the planning of ragged attention, is no matter for a
     compiler.
     """
+    # a plan of NumPy's, and kernels that are fused already; not where it is defined, for that imports the compiler
+    attention.attend_bucketed = torch.compiler.disable(attention.attend_bucketed)
     for block in _blocks(network):
         block.forward = torch.compile(block.forward, dynamic=True)
 

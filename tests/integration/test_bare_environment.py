@@ -109,6 +109,12 @@ def test_rendering_imports_neither_lightning_nor_mlflow(bare):
     assert bare("-c", f"import sys, launch.render; print(sorted({frameworks} & sys.modules.keys()))") == "[]\n"
 
 
+def test_a_network_is_loaded_without_pytorchs_compiler(bare):
+    """Which takes as long to import as all of PyTorch."""
+    load = "import sys, rfpp; rfpp.Renderer.load('rfpp-tiny', 'cpu'); print('torch._dynamo' in sys.modules)"
+    assert bare("-c", load) == "False\n"
+
+
 @pytest.mark.parametrize(
     ("command", "setting"), [("benchmark", ["benchmark=cost"]), ("train", ["logger=none"]), ("render", [])]
 )
