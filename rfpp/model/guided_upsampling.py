@@ -5,6 +5,7 @@ from __future__ import annotations
 from itertools import product
 
 import torch
+import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
@@ -40,14 +41,16 @@ class GuidedUpsampling:
         """Maps of fine pixels.
 
         Args:
-            coarse, fine: `channels` of both kinds of pixels.
+            coarse, fine: `channels` of both kinds of pixels; a coarse one is a square of whole fine ones.
         """
-        rows, columns = (_neighbours(*sides, maps.device) for sides in zip(maps.shape[2:], fine.shape[2:], strict=True))
-        total, weights = maps.new_zeros(*maps.shape[:2], *fine.shape[2:]), fine.new_zeros(len(fine), 1, *fine.shape[2:])
-        for (row, near_row), (column, near_column) in product(rows, columns):
-            there = coarse.index_select(2, row).index_select(3, column)
-            weight = near_row[:, None] * near_column * (self._alike(fine, there) + self._OTHER)
-            total += weight * maps.index_select(2, row).index_select(3, column)
+        stride, (height, width) = fine.shape[-1] // coarse.shape[-1], fine.shape[-2:]
+        maps, guides = (_spread(x, stride) for x in (maps, coarse))
+        near = [_nearness(size, stride, fine.device) for size in (height, width)]
+        total, weights = maps.new_zeros(*maps.shape[:2], height, width), fine.new_zeros(len(fine), 1, height, width)
+        for row, column in product(range(2), range(2)):
+            here = (..., slice(row * stride, row * stride + height), slice(column * stride, column * stride + width))
+            weight = near[0][row][:, None] * near[1][column] * (self._alike(fine, guides[here]) + self._OTHER)
+            total += weight * maps[here]
             weights += weight
         return total / weights
 
@@ -59,12 +62,15 @@ class GuidedUpsampling:
         return torch.exp(-0.5 * (off_plane.square() + turned))
 
 
-def _neighbours(
-    coarse: int, fine: int, device: torch.device
-) -> tuple[tuple[Tensor, Float[Tensor, " fine"]], tuple[Tensor, Float[Tensor, " fine"]]]:
-    """The coarse pixels before and after each fine one's centre along an axis, and how near each is: 1 together."""
-    place = (torch.arange(fine, device=device) + 0.5) * (coarse / fine) - 0.5
-    before = place.floor()
-    near = place - before
-    first, second = (row.clamp(0, coarse - 1).long() for row in (before, before + 1))
-    return (first, 1 - near), (second, near)
+def _spread(coarse: Float[Tensor, "n c h w"], stride: int) -> Float[Tensor, "n c _ _"]:
+    """Of each fine pixel the coarse one before it; so many pixels further on, the one after it."""
+    spread = F.interpolate(F.pad(coarse, [1] * 4, mode="replicate"), scale_factor=stride, mode="nearest")
+    first = (stride + 1) // 2
+    return spread[..., first:, first:]
+
+
+def _nearness(size: int, stride: int, device: torch.device) -> tuple[Float[Tensor, " size"], Float[Tensor, " size"]]:
+    """Along an axis, of the coarse pixels before and after each fine one's centre: 1 together."""
+    place = (torch.arange(size, device=device) + 0.5) / stride - 0.5
+    after = place - place.floor()
+    return 1 - after, after
