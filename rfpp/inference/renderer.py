@@ -108,6 +108,7 @@ class Renderer:
         light_samples: int = 16,
         supersampling: int = 2,
         token_resolution: int | None = None,
+        transports: int | None = None,
     ) -> Float[np.ndarray, "v h w 3"]:
         """Linear radiance seen by each camera; the scene is encoded once for all of them.
 
@@ -121,13 +122,15 @@ class Renderer:
                 outlines; the samples are divided among them.
             token_resolution: at least so many pixels along the longer side are what such networks' ray tokens and image
                 head see; what they say is carried to the image's pixels along surfaces. None is `TOKEN_RESOLUTION`.
+            transports: how often the transport operator is applied; None is as often as it was trained for.
 
         Raises:
             SceneError: there is no camera.
             UserError: the resolution does not divide into the network's patches or takes more memory than there is, or
                 there are no samples.
         """
-        return np.stack(list(self.views(scene, resolution, cameras, light_samples, supersampling, token_resolution)))
+        sampling = (light_samples, supersampling, token_resolution, transports)
+        return np.stack(list(self.views(scene, resolution, cameras, *sampling)))
 
     def views(
         self,
@@ -139,11 +142,7 @@ class Renderer:
         token_resolution: int | None = None,
         transports: int | None = None,
     ) -> Iterator[Float[np.ndarray, "h w 3"]]:
-        """The images of `render`, each as soon as it is finished.
-
-        Args:
-            transports: how often the transport operator is applied; None is as often as it was trained for.
-        """
+        """The images of `render`, each as soon as it is finished."""
         height, width = self.image_size(resolution)
         packed = pack(scene) if cameras is None else pack(scene).seen_by(cameras)
         if not len(packed.fov):

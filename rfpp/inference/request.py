@@ -46,6 +46,7 @@ class Request(Strict):
         light_samples: shadow rays per light and pixel, and rays into reflections.
         supersampling: points along each side of a pixel.
         token_resolution: of the image as ray tokens see it, or None for what is usual.
+        transports: how often light is passed on in the scene, or None as in training.
         fps: of films.
         reference, reference_settings: whether Cycles renders too, and by which file of conf/reference.
         device: of torch, or None to choose.
@@ -62,6 +63,7 @@ class Request(Strict):
     exposure: Annotated[float, Field(ge=-64, le=64)]
     light_samples: Positive
     supersampling: Positive
+    transports: Annotated[int, Field(ge=0, le=1024)] | None
     token_resolution: Positive | None
     fps: Annotated[float, Field(gt=0, le=1000)]
     reference: bool
@@ -103,7 +105,8 @@ class Request(Strict):
     @property
     def sampling(self) -> dict[str, int | None]:
         """Of `Renderer.render`, by name."""
-        return {name: getattr(self, name) for name in ("light_samples", "supersampling", "token_resolution")}
+        names = ("light_samples", "supersampling", "token_resolution", "transports")
+        return {name: getattr(self, name) for name in names}
 
     def one_camera(self) -> int:
         """For a film; the first if none was asked for. Raises UserError for several."""
