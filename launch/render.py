@@ -23,7 +23,7 @@ from rfpp.entry import CONFIG_DIR, entry_point, settings
 from rfpp.errors import UserError
 from rfpp.inference.film import Film
 from rfpp.inference.gbuffers import GBufferSource
-from rfpp.inference.layers import exr_layers
+from rfpp.inference.layers import exr_layers, light_layers
 from rfpp.inference.motion.frames import Frames, with_cameras
 from rfpp.inference.references import path_traced
 from rfpp.inference.request import Request
@@ -50,6 +50,8 @@ def main(cfg: DictConfig) -> list[Path]:
     motion, cycles = instantiate(cfg.get("motion")), cycles_settings(request, cfg.against)
     if motion and cfg.against:
         raise UserError(f"against={cfg.against}: stands beside stills, not in a film: leave it away")
+    if motion and request.lights == "separate":
+        raise UserError("lights=separate: layers are those of stills, a film has none: leave it away")
     if motion:
         scenes = [motion.frames_of(path, request.one_camera(), request.load) for path in request.scene]
         files = [request.film(path, motion.name) for path in request.scene]
@@ -93,10 +95,13 @@ class Studio:
         gbuffer = GBufferSource(layers).of(scene, *self.size, self.request.light_samples)
 
         def write(image, view: int) -> None:
-            write_still(image, files[view], self.tone_map, exr_layers(gbuffer(view), layers))
+            apart = light_layers({name: images[view] for name, images in lights.items()})
+            write_still(image, files[view], self.tone_map, exr_layers(gbuffer(view), layers) | apart)
 
-        begin = time.perf_counter()
-        views = self.renderer.views(scene, self.size, **sampling)
+        begin, lights = time.perf_counter(), {}
+        if self.request.lights == "separate":
+            lights = self.renderer.render_lights(scene, self.size, **sampling)
+        views = sum(lights.values()) if lights else self.renderer.views(scene, self.size, **sampling)
         images = list(written_beside(views, range(len(files)), write))
         many = f"{len(files)} view{'s' * (len(files) > 1)} of {self.size[1]} x {self.size[0]}"
         self.console.print(f"{scene.name}: {many} in {time.perf_counter() - begin:.2f} s")

@@ -84,7 +84,7 @@ def _gathered(
     shines = (surface.specular > 0).any(-1) & (cosine > 0)
     seen = surface.normal, surface.view, np.where(shines, surface.alpha, -1.0)
     light = np.zeros((2, len(surface), 3))
-    for number in range(sampler.lights):
+    for number in sampler.shining:
         _add_light(light, sampler, number, surface.point, seen, shifts[:, number], samples)
     _add_lobe(light[1], sampler, surface.point, seen, shifts[:, -1], samples)
     light[1] *= ggx.multiple_scattering(cosine, surface.alpha, surface.specular) / samples
@@ -130,6 +130,6 @@ def _add_lobe(
     rows, up = np.repeat(shining, samples).reshape(cosine.shape)[cosine > 0], way[cosine > 0]
     hits = sampler.caster.cast(points[rows], up)
     emitter = sampler.emitter_of(hits.triangle)
-    met = emitter >= 0
+    met = sampler.shines(emitter)
     lit = rows[met], up[met], hits.distance[met].astype(np.float64), emitter[met]
     from_lobe(*seen, *lit, sampler.whole, glossy)

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-import numpy as np
-from jaxtyping import Int
+from copy import copy
 
+import numpy as np
+from jaxtyping import Bool, Int
+
+from rfpp.errors import UserError
 from rfpp.gbuffer.light_loops import Light
 from rfpp.gbuffer.raycast import RayCaster
 from rfpp.scene.triangles import EMISSION, SceneTriangles
@@ -25,6 +28,8 @@ class LightSampler:
     Attributes:
         caster: see above.
         lights: how many there are.
+        names: of the objects that they are.
+        shining: the lights whose light is gathered; the others are black, and otherwise what they are.
         each, whole: every light, and all of them as one.
     """
 
@@ -38,7 +43,8 @@ class LightSampler:
         size = np.linalg.norm(cross, axis=-1)
         normals, area = cross / size[:, None], size / 2
         names, light = np.unique(triangles.object_index[emitters], return_inverse=True)
-        self.lights = len(names)
+        self.lights, self.names = len(names), triangles.light_names
+        self.shining, self._light = tuple(range(self.lights)), light
         power = area * radiance.mean(-1)
         share = power / np.bincount(light, power, self.lights)[light]
 
@@ -51,6 +57,18 @@ class LightSampler:
         self.whole = of(np.arange(len(emitters)))
         self._emitter_of = np.full(len(triangles) + 1, -1)  # the last answers for rays that hit nothing
         self._emitter_of[emitters] = np.arange(len(emitters))
+
+    def only(self, name: str) -> LightSampler:
+        """The same, of which one light shines. Raises UserError if there is none of this name."""
+        if name not in self.names:
+            raise UserError(f"light '{name}' does not exist: choose from {', '.join(self.names)}")
+        other = copy(self)
+        other.shining = (self.names.index(name),)
+        return other
+
+    def shines(self, emitter: Int[np.ndarray, "*batch"]) -> Bool[np.ndarray, "*batch"]:
+        """Whether the row in `whole` belongs to a light that shines; not for -1."""
+        return (emitter >= 0) & np.isin(self._light[emitter], self.shining)
 
     def emitter_of(self, triangle: Int[np.ndarray, "*batch"]) -> Int[np.ndarray, "*batch"]:
         """The row in `whole` of the triangles that emit; -1 for others, and for -1."""

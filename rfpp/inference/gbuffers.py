@@ -63,7 +63,13 @@ class GBufferSource:
         self._kept: BoundedCache[GBuffer | RayCaster | LightSampler | np.ndarray] = BoundedCache(max_bytes)
 
     def of(
-        self, scene: PackedScene, height: int, width: int, light_samples: int, points: int = 1
+        self,
+        scene: PackedScene,
+        height: int,
+        width: int,
+        light_samples: int,
+        points: int = 1,
+        light: str | None = None,
     ) -> Callable[[int], Float[np.ndarray, "c h w"]]:
         """View number → its channels; no ray is cast before a view is asked for, and none for no channels.
 
@@ -71,6 +77,7 @@ class GBufferSource:
             height, width: in pixels.
             light_samples: see `with_direct_light` and `with_reflection`.
             points: along each side of a pixel; the channels have so many times the height and the width.
+            light: only the light of this object; None: all.
         """
         height, width = points * height, points * width
         if not self.channels:
@@ -81,14 +88,14 @@ class GBufferSource:
         def channels(view: int) -> Float[np.ndarray, "c h w"]:
             c2w, fov = scene.c2w[view], scene.fov[view]
             gbuffer = self._first_hit(triangles, geometry, c2w, fov, height, width)
-            seen, lights = (gbuffer, c2w, fov), partial(self._lights, triangles, geometry)
+            seen, lights = (gbuffer, c2w, fov), partial(self._lights, triangles, geometry, light)
             gathering: dict[str, Callable[[], GBuffer]] = {}  # what of a G-buffer → how it gets it
             if self._wants(DIRECT_CHANNELS):
                 gathering["light"] = partial(with_direct_light, *seen, lights(), light_samples)
             if self._wants(REFLECTION_CHANNELS):
                 gathering["reflection"] = partial(with_reflection, *seen, lights(), light_samples)
             if self._wants((*CELL_CHANNELS, HIGHLIGHTS)):
-                _, cells = self._cells(triangles, geometry)
+                _, cells = self._cells(triangles, geometry, light)
                 gathering["cells"] = partial(with_cells, *seen, lights(), cells, points)
             if gathering:
                 with ThreadPoolExecutor(len(gathering), "light") as beside:  # loops that hold no lock
@@ -108,18 +115,24 @@ class GBufferSource:
         size = _BYTES_PER_OBJECT * triangles.num_objects
         return self._kept.recall(key, size, lambda: object_light(self._lights(triangles, geometry)))
 
-    def known_of_scene(self, triangles: SceneTriangles, names: Collection[str]) -> dict[str, Any]:
-        """What a network reads of a scene beside its triangles: `object_light`, `cells`."""
+    def known_of_scene(
+        self, triangles: SceneTriangles, names: Collection[str], light: str | None = None
+    ) -> dict[str, Any]:
+        """What a network reads of a scene beside its triangles: `object_light`, `cells`.
+
+        Args:
+            light: see `of`; of `cells` alone.
+        """
         known = {
             "object_light": lambda: self.object_light(triangles),
-            "cells": lambda: self._cells(triangles, _geometry(triangles))[0],
+            "cells": lambda: self._cells(triangles, _geometry(triangles), light)[0],
         }
         return {name: known[name]() for name in names}
 
-    def _cells(self, triangles: SceneTriangles, geometry: bytes) -> tuple[Cells, CellMap]:
-        key = ("cells", geometry, _digest(triangles.material))
+    def _cells(self, triangles: SceneTriangles, geometry: bytes, light: str | None) -> tuple[Cells, CellMap]:
+        key = ("cells", geometry, _digest(triangles.material), light)
         size = _CELL_BYTES_PER_TRIANGLE * len(triangles)
-        return self._kept.recall(key, size, lambda: find_cells(self._lights(triangles, geometry)))
+        return self._kept.recall(key, size, lambda: find_cells(self._lights(triangles, geometry, light)))
 
     def _first_hit(
         self,
@@ -138,10 +151,11 @@ class GBufferSource:
         view = (geometry, c2w.tobytes(), float(fov), height, width)
         return self._kept.recall(view, _BYTES_PER_PIXEL * height * width, cast)
 
-    def _lights(self, triangles: SceneTriangles, geometry: bytes) -> LightSampler:
+    def _lights(self, triangles: SceneTriangles, geometry: bytes, light: str | None = None) -> LightSampler:
         key = ("lights", geometry, _digest(triangles.material))  # all materials: it knows what surfaces reflect
         size = _SAMPLER_BYTES_PER_TRIANGLE * len(triangles)
-        return self._kept.recall(key, size, lambda: LightSampler(triangles, self._shadow_caster(triangles, geometry)))
+        lights = self._kept.recall(key, size, lambda: LightSampler(triangles, self._shadow_caster(triangles, geometry)))
+        return lights if light is None else lights.only(light)
 
     def _shadow_caster(self, triangles: SceneTriangles, geometry: bytes) -> RayCaster:
         size = _BYTES_PER_TRIANGLE * len(triangles)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import re
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from jaxtyping import Float
 
 from rfpp.errors import UserError
+from rfpp.exr import compact
 from rfpp.gbuffer.first_hit import CELL_CHANNELS, CHANNELS, COLOUR_CHANNELS
 
 #: The channels that are pictures: numbers of cells are none.
@@ -23,6 +25,21 @@ def checked_layers(names: Sequence[str]) -> tuple[str, ...]:
     if len(set(names)) < len(names):
         raise UserError(f"layers: {list(names)} names one twice: give each once")
     return tuple(names)
+
+
+def light_layers(images: Mapping[str, Float[np.ndarray, "h w 3"]]) -> dict[str, np.ndarray]:
+    """What each light adds to an image, as layers of their own: light_lamp.R, …
+
+    Args:
+        images: by the names of lights, which may hold what layers' names may not.
+    """
+    layers: dict[str, np.ndarray] = {}
+    for number, (name, image) in enumerate(images.items()):
+        layer = "light_" + re.sub(r"\W", "_", name)
+        if f"{layer}.R" in layers:
+            layer = f"{layer}_{number}"
+        layers |= {f"{layer}.{channel}": compact(image)[..., place] for place, channel in enumerate("RGB")}
+    return layers
 
 
 def exr_layers(stacked: Float[np.ndarray, "c h w"], names: Sequence[str]) -> dict[str, np.ndarray]:

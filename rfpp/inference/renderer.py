@@ -132,6 +132,25 @@ class Renderer:
         sampling = (light_samples, supersampling, token_resolution, transports)
         return np.stack(list(self.views(scene, resolution, cameras, *sampling)))
 
+    def render_lights(
+        self, scene: Scene | PackedScene, resolution: int | tuple[int, int] | None = None, **sampling: int | None
+    ) -> dict[str, Float[np.ndarray, "v h w 3"]]:
+        """The images of each light alone, by the name of its object; their sum is that of `render`, to rounding.
+
+        Not in the paper. Weighted sums of them are the images with lights dimmed, switched off or coloured.
+
+        Args:
+            resolution, sampling: see `render`.
+
+        Raises:
+            UserError: like `render`, and for a network that is not linear in lights.
+        """
+        packed = pack(scene)
+        return {
+            name: np.stack(list(self.views(packed, resolution, light=name, **sampling)))
+            for name in packed.triangles.light_names
+        }
+
     def views(
         self,
         scene: Scene | PackedScene,
@@ -141,8 +160,13 @@ class Renderer:
         supersampling: int = 2,
         token_resolution: int | None = None,
         transports: int | None = None,
+        light: str | None = None,
     ) -> Iterator[Float[np.ndarray, "h w 3"]]:
-        """The images of `render`, each as soon as it is finished."""
+        """The images of `render`, each as soon as it is finished.
+
+        Args:
+            light: only the light of this object; None: all. For a network that is linear in lights.
+        """
         height, width = self.image_size(resolution)
         packed = pack(scene) if cameras is None else pack(scene).seen_by(cameras)
         if not len(packed.fov):
@@ -157,9 +181,11 @@ class Renderer:
         points = supersampling if self.network.shades_points else 1
         require_memory(height, width, points)
         samples = max(1, round(light_samples / points**2))
-        gbuffers = self._gbuffers.of(packed, height, width, samples, points)
+        if light is not None and not self.network.linear_in_lights:
+            raise UserError("lights apart: this network's image is no sum over lights: use one of linear light")
+        gbuffers = self._gbuffers.of(packed, height, width, samples, points, light)
         stride = self._stride(height, width, token_resolution)
-        return self._views(packed, gbuffers, points, stride, transports)
+        return self._views(packed, gbuffers, points, stride, transports, light)
 
     def _stride(self, height: int, width: int, token_resolution: int) -> int:
         """Pixels along each side of what tokens see as one."""
@@ -179,10 +205,11 @@ class Renderer:
         points: int,
         stride: int,
         transports: int | None,
+        light: str | None,
     ) -> Iterator[Float[np.ndarray, "h w 3"]]:
         """One view at a time, which bounds the memory; a thread casts the next one's rays meanwhile."""
         no_gbuffer = np.zeros((len(scene.fov), 0, 0, 0), np.float32)
-        known = self._gbuffers.known_of_scene(scene.triangles, self.network.source.reads)
+        known = self._gbuffers.known_of_scene(scene.triangles, self.network.source.reads, light)
         views = SceneViews(
             scene.name, scene.triangles, scene.c2w, scene.fov, no_gbuffer, texture=scene.texture, **known
         )

@@ -41,6 +41,8 @@ class LinearViewDecoder(ViewDecoder):
         others: see ViewDecoder; its `gbuffer_channels` hold no light.
     """
 
+    linear_in_lights = True
+
     def __init__(self, *, shading: CellGathering, **others):
         super().__init__(**others, shading=shading)
         nn.init.zeros_(self.head.out[-1].bias)

@@ -140,6 +140,11 @@ class RenderFormerPP(nn.Module):
         return self.transport.iterations
 
     @property
+    def linear_in_lights(self) -> bool:
+        """Whether the image of several lights is the sum of theirs."""
+        return self.decoder.linear_in_lights
+
+    @property
     def gbuffer_channels(self) -> tuple[str, ...]:
         """The G-buffer channels a batch must carry, in order."""
         return self.decoder.gbuffer_channels

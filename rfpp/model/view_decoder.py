@@ -42,6 +42,9 @@ class ViewDecoder(nn.Module):
         windows: which rays of a view see each other: WholeView (the paper's) or ShiftedWindows.
     """
 
+    #: Whether the image of several lights is the sum of theirs.
+    linear_in_lights = False
+
     def __init__(
         self,
         width: int,

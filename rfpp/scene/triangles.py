@@ -53,9 +53,14 @@ class SceneTriangles:
         return np.repeat(np.arange(self.num_objects, dtype=np.int32), np.diff(self.object_offsets))
 
     @property
+    def light_names(self) -> tuple[str, ...]:
+        """Of the objects that emit light, in order."""
+        return tuple(self.object_names[number] for number in np.unique(self.object_index[self.is_emissive]))
+
+    @property
     def num_lights(self) -> int:
         """How many objects emit light."""
-        return len(np.unique(self.object_index[self.is_emissive]))
+        return len(self.light_names)
 
     @classmethod
     def from_scene(cls, scene: Scene) -> SceneTriangles:

@@ -8,6 +8,7 @@ from edited_scenes import changed, dimmed, lamp, moved, reordered, scene
 from networks import checkpoint_info, network
 
 from rfpp import Renderer, Scene
+from rfpp.errors import UserError
 
 LINEAR = ("+experiment=quickstart",)
 EDITS = (dimmed, moved, reordered)
@@ -41,3 +42,29 @@ def test_more_bounces_are_more_light():
     assert all((b >= a - 1e-6).all() for a, b in pairwise(images))
     assert images[1].sum() > images[0].sum()
     np.testing.assert_allclose(images[2], renderer().render(scene()), rtol=1e-5, atol=1e-6)
+
+
+class TestLightsApart:
+    @pytest.fixture(scope="class")
+    def apart(self):
+        return renderer().render_lights(scene(), light_samples=4)
+
+    def test_their_sum_is_the_image(self, apart):
+        assert list(apart) == ["lamp", "spot"]
+        assert all(images.max() > 0 for images in apart.values())
+        np.testing.assert_allclose(
+            sum(apart.values()), renderer().render(scene(), light_samples=4), rtol=1e-4, atol=1e-6
+        )
+
+    def test_a_weighted_sum_is_the_image_of_the_lights_dimmed_and_coloured(self, apart):
+        blue = lamp(700).model_copy(update={"emissive": (140.0, 700.0, 1400.0)})
+        both = changed(changed(scene(), "lamp", material=lamp(1500)), "spot", material=blue)
+        mixed = 0.5 * apart["lamp"] + np.array([0.2, 1.0, 2.0]) * apart["spot"]
+        np.testing.assert_allclose(mixed, renderer().render(both, light_samples=4), rtol=1e-3, atol=1e-5)
+
+    def test_networks_that_are_not_linear_and_lights_that_are_not_there_are_refused(self):
+        other = Renderer(network("+experiment=quickstart", "model=known_light"), checkpoint_info(resolution=(16, 16)))
+        with pytest.raises(UserError, match="no sum over lights"):
+            other.render_lights(scene())
+        with pytest.raises(UserError, match="light 'moon' does not exist: choose from lamp, spot"):
+            list(renderer().views(scene(), light="moon"))

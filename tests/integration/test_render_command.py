@@ -78,6 +78,16 @@ def test_several_scenes_with_layers_and_a_tone_map(render, tmp_path):
     assert (tmp_path / "out" / "six.yaml").is_file()
 
 
+def test_lights_apart_are_layers_that_add_up(render, tmp_path):
+    [file], _ = render(
+        f"scene={scene().save(tmp_path / 'six.json')}", "checkpoint=rfpp-tiny", "lights=separate", "cameras=[0]"
+    )
+    layers = read_exr(file)
+    assert layers.keys() == {"RGB", "light_lamp", "light_spot"}
+    np.testing.assert_allclose(layers["light_lamp"] + layers["light_spot"], layers["RGB"], rtol=1e-2, atol=1e-3)
+    assert min(layer.max() for layer in layers.values()) > 0
+
+
 def test_one_view_may_have_a_name_of_its_own_and_several_are_numbered_after_it(render, tmp_path):
     files, _ = render(f"scene={BOX}", "cameras=1", "resolution=[8,12]", f"output={tmp_path}/a/one.exr")
     assert files == [tmp_path / "a" / "one.exr"]
@@ -161,6 +171,8 @@ WRONG = {
     "a reference that is neither wanted nor not": ([ONE, "reference=perhaps"], "reference"),
     "another network without a reference": ([ONE, "against=other.ckpt"], "add reference=true"),
     "another network in a film": ([ONE, "motion=turntable", "reference=true", "against=other.ckpt"], "not in a film"),
+    "lights apart in a film": ([ONE, "motion=turntable", "lights=separate"], "a film has none"),
+    "lights apart by a network that is not linear": ([ONE, "lights=separate"], "no sum over lights"),
     "no scene": (["scene=[]"], "scene"),
     "a scene that is not there": (["scene=absent.json"], "absent.json"),
 }  # fmt: skip
