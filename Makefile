@@ -34,6 +34,7 @@ quickstart: install
 	@echo "Metrics         $(LATEST)/evaluation/summary.csv"
 	@echo "Report          $(LATEST)/evaluation/report.html"
 	@echo "Training run    $(RUN) -m mlflow ui --backend-store-uri sqlite:///data/runs/mlflow.db"
+	@echo "                and open http://127.0.0.1:5000/#/experiments/1?workflowType=machine_learning"
 	@echo "Render more     $(RUN) launch/render.py scene=data/scenes/roughness_spheres.json checkpoint=$(LATEST)/checkpoints/best.ckpt"
 
 test: install

@@ -12,6 +12,7 @@ from jaxtyping import Float, Int
 from rfpp.errors import UserError
 from rfpp.gbuffer.compiled import compiled
 from rfpp.gbuffer.raycast import RayCaster
+from rfpp.gbuffer.vectors import normal_of
 from rfpp.scene.camera import pixel_plane, pixel_rays
 from rfpp.scene.triangles import DIFFUSE, ROUGHNESS, SPECULAR, SceneTriangles
 
@@ -249,11 +250,3 @@ def _facing_normals(positions, corner_normals, hit, barycentric, directions, nor
         z = weight_a * a[2] + weight_b * b[2] + weight_c * c[2]
         side /= max(np.sqrt(x * x + y * y + z * z), 1e-12)
         normals[row, 0], normals[row, 1], normals[row, 2] = side * x, side * y, side * z
-
-
-@compiled
-def normal_of(a, b, c):
-    """Along the normal of a triangle, as long as twice its area."""
-    ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
-    vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
-    return uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from rfpp.gbuffer.compiled import compiled
+from rfpp.gbuffer.vectors import GOLDEN, unit
 
 #: Below this α the lobe is narrower than any pixel, and float32 no longer resolves it.
 MIN_ALPHA = 1e-3
@@ -84,13 +85,6 @@ def sampled(view, alpha, u, v):
 
 
 @compiled
-def unit(x, y, z):
-    """The vector's direction."""
-    length = max(np.sqrt(x * x + y * y + z * z), 1e-20)
-    return x / length, y / length, z / length
-
-
-@compiled
 def _smith_lambda(direction, alpha):
     """Smith's Λ: masked microsurface per visible microsurface (Walter et al. 2007)."""
     level2 = direction[0] * direction[0] + direction[1] * direction[1]
@@ -115,7 +109,7 @@ def _scattering_each(cosine, alpha, specular, albedo, mean, factor):
     last = len(mean) - 1
     for row in range(len(alpha)):
         u, v = np.sqrt(alpha[row]) * last, min(max(cosine[row], 0.0), 1.0) * last
-        i, j = min(int(u), last - 1), min(int(v), last - 1)
+        i, j = max(min(int(u), last - 1), 0), max(min(int(v), last - 1), 0)  # NaN as an index is any number
         u, v = u - i, v - j
         near = albedo[i, j] * (1 - v) + albedo[i, j + 1] * v
         far = albedo[i + 1, j] * (1 - v) + albedo[i + 1, j + 1] * v
@@ -146,7 +140,7 @@ def _lobe_albedo() -> tuple[Float[np.ndarray, "table table"], Float[np.ndarray, 
     cosine = np.linspace(0, 1, _TABLE).clip(1e-4)
     alpha = np.maximum(roughness**2, MIN_ALPHA)
     count = np.arange(_TABLE_SAMPLES)
-    random = np.stack([(count + 0.5) / _TABLE_SAMPLES, count * 0.6180339887498949 % 1], axis=-1)
+    random = np.stack([(count + 0.5) / _TABLE_SAMPLES, count * GOLDEN % 1], axis=-1)
     albedo = np.empty((_TABLE, _TABLE))
     for row in range(_TABLE):
         view = np.stack([np.sqrt(1 - cosine**2), np.zeros(_TABLE), cosine], axis=-1)

@@ -14,8 +14,7 @@ from jaxtyping import Float
 from rfpp.gbuffer.compiled import compiled
 from rfpp.gbuffer.ggx import lobe_and_pdf, sampled
 from rfpp.gbuffer.polygon_light import of_triangle
-
-_GOLDEN = 0.6180339887498949
+from rfpp.gbuffer.vectors import GOLDEN, in_frame, tangents
 
 
 class Light(NamedTuple):
@@ -37,24 +36,6 @@ class Light(NamedTuple):
 
 
 @compiled
-def frame(normal):
-    """Two tangents (Duff et al., "Building an Orthonormal Basis, Revisited", 2017)."""
-    x, y, z = normal
-    sign = -1.0 if z < 0 else 1.0
-    a = -1 / (sign + z)
-    b = x * y * a
-    return (1 + sign * x * x * a, sign * b, -sign * x), (b, sign + y * y * a, -y)
-
-
-@compiled
-def local(vector, tangents, normal):
-    """In the frame of a normal."""
-    x, y, z = vector
-    (ax, ay, az), (bx, by, bz) = tangents
-    return x * ax + y * ay + z * az, x * bx + y * by + z * bz, x * normal[0] + y * normal[1] + z * normal[2]
-
-
-@compiled
 def toward_light(points, normals, shifts, light, way, reach, density, emitter, arriving):
     """Fills in, for samples of one light: unit directions, distances, densities per solid angle, emitters, and what
     would arrive of the mean radiance with nothing in between."""
@@ -64,7 +45,7 @@ def toward_light(points, normals, shifts, light, way, reach, density, emitter, a
         point, normal = points[row], normals[row]
         for s in range(samples):
             u = ((s + 0.5) / samples + shifts[row, 0]) % 1
-            v = (s * _GOLDEN % 1 + shifts[row, 1]) % 1
+            v = (s * GOLDEN % 1 + shifts[row, 1]) % 1
             e = min(np.searchsorted(steps, u, side="right"), len(steps) - 1)
             # what is left of the number within its step is uniform again
             before = steps[e - 1] if e else 0.0
@@ -100,12 +81,12 @@ def from_light(points, normals, views, alphas, light, way, density, emitter, arr
                     factor = of_triangle(point, normal, corners[e]) * (visible / max(whole, 1e-30))
                     for c in range(3):
                         diffuse[row, c] += radiance[e, c] * factor
-        tangents = frame(normal)
-        view = local(views[row], tangents, normal)
+        first, second = tangents(normal)
+        view = in_frame(views[row], first, second, normal)
         for s in range(samples):
             if not in_sight[row, s]:
                 continue
-            e, toward = emitter[row, s], local(way[row, s], tangents, normal)
+            e, toward = emitter[row, s], in_frame(way[row, s], first, second, normal)
             if not light.formula:
                 for c in range(3):
                     diffuse[row, c] += max(toward[2], 0.0) / density[row, s] / (np.pi * samples) * radiance[e, c]
@@ -122,11 +103,11 @@ def along_lobe(normals, views, alphas, shifts, way, cosine):
     samples = way.shape[1]
     for row in range(len(normals)):
         normal = normals[row]
-        first, second = frame(normal)
-        view = local(views[row], (first, second), normal)
+        first, second = tangents(normal)
+        view = in_frame(views[row], first, second, normal)
         for s in range(samples):
             u = ((s + 0.5) / samples + shifts[row, 0]) % 1
-            v = (s * _GOLDEN % 1 + shifts[row, 1]) % 1
+            v = (s * GOLDEN % 1 + shifts[row, 1]) % 1
             x, y, z = sampled(view, alphas[row], u, v)
             cosine[row, s] = z
             for k in range(3):
@@ -143,8 +124,9 @@ def from_lobe(normals, views, alphas, rows, ways, distances, emitters, light, gl
     for n in range(len(rows)):
         row, e, way = rows[n], emitters[n], ways[n]
         normal = normals[row]
-        tangents = frame(normal)
-        view, toward = local(views[row], tangents, normal), local(way, tangents, normal)
+        first, second = tangents(normal)
+        view = in_frame(views[row], first, second, normal)
+        toward = in_frame(way, first, second, normal)
         reflected, by_lobe = lobe_and_pdf(view, toward, alphas[row])
         weight = reflected * _over_density(by_lobe, _density(light, e, way, distances[n]))
         for c in range(3):

@@ -11,7 +11,8 @@ from jaxtyping import Float, Int
 
 from rfpp.gbuffer import ggx
 from rfpp.gbuffer.compiled import compiled
-from rfpp.gbuffer.first_hit import GBuffer, camera_positions, normal_of
+from rfpp.gbuffer.first_hit import GBuffer, camera_positions
+from rfpp.gbuffer.vectors import GOLDEN, normal_of, tangents
 from rfpp.scene.triangles import DIFFUSE, ROUGHNESS, SPECULAR, SceneTriangles
 
 #: Rays start and end this far from surfaces, in world units (a scene's edge is 1).
@@ -82,14 +83,18 @@ class Surface:
         return Surface(**{field.name: getattr(self, field.name)[rows] for field in fields(self)})
 
     def frame(self) -> Float[np.ndarray, "r 3 3"]:
-        """Rows: two tangents and the normal (Duff et al., "Building an Orthonormal Basis, Revisited", 2017)."""
-        x, y, z = self.normal.T
-        sign = np.where(z < 0, -1.0, 1.0)
-        a = -1 / (sign + z)
-        b = x * y * a
-        first = np.stack([1 + sign * x * x * a, sign * b, -sign * x], axis=-1)
-        second = np.stack([b, sign + y * y * a, -y], axis=-1)
-        return np.stack([first, second, self.normal], axis=1)
+        """Rows: two tangents and the normal."""
+        frames = np.empty((len(self), 3, 3))
+        _frames(self.normal, frames)
+        return frames
+
+
+@compiled
+def _frames(normals, frames):
+    for row in range(len(normals)):
+        first, second = tangents(normals[row])
+        for k in range(3):
+            frames[row, 0, k], frames[row, 1, k], frames[row, 2, k] = first[k], second[k], normals[row, k]
 
 
 @compiled
@@ -129,7 +134,7 @@ def cosine_directions(surface: Surface, random: Float[np.ndarray, "r 2"]) -> Flo
 def lattice(samples: int, shift: Float[np.ndarray, "r 2"]) -> Float[np.ndarray, "r s 2"]:
     """Well-spread points of the unit square, displaced per row (Cranley and Patterson 1976)."""
     count = np.arange(samples)
-    spread = np.stack([(count + 0.5) / samples, count * 0.6180339887498949 % 1], axis=-1)
+    spread = np.stack([(count + 0.5) / samples, count * GOLDEN % 1], axis=-1)
     return (spread + shift[:, None]) % 1
 
 

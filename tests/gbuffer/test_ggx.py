@@ -64,3 +64,11 @@ def test_darker_tints_lose_light_at_every_further_bounce():
     gain = ggx.multiple_scattering(cosine, alpha, np.array([[0.0] * 3, [0.5] * 3, [1.0] * 3]))
     assert gain[0] == pytest.approx(1)
     assert (gain[0] < gain[1]).all() and (gain[1] < gain[2]).all()
+
+
+@pytest.mark.parametrize(("cosine", "alpha"), [(np.nan, 0.5), (0.5, np.nan), (np.inf, 0.5), (-1e30, 0.5)])
+def test_what_is_no_number_reads_nothing_beyond_the_table(cosine, alpha):
+    """Compiled loops check no bounds."""
+    many = np.full(1000, 1.0)
+    scale = ggx.multiple_scattering(cosine * many, alpha * many, np.full((1000, 3), 0.5))
+    assert np.isnan(scale).all() or ((scale >= 1) & (scale < 3)).all()

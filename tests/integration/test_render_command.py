@@ -88,6 +88,13 @@ def test_lights_apart_are_layers_that_add_up(render, tmp_path):
     assert min(layer.max() for layer in layers.values()) > 0
 
 
+def test_light_may_be_passed_on_less_often(render):
+    as_trained, never = (render(f"scene={BOX}", "cameras=0", f"transports={n}")[0][0] for n in ("null", 0))
+    assert as_trained == never  # the same file
+    expected = Renderer(network(), checkpoint_info()).render(Scene.load(BOX), (16, 16), transports=0)[0]
+    np.testing.assert_array_equal(read_exr(never)["RGB"], expected.astype(np.float16))
+
+
 def test_one_view_may_have_a_name_of_its_own_and_several_are_numbered_after_it(render, tmp_path):
     files, _ = render(f"scene={BOX}", "cameras=1", "resolution=[8,12]", f"output={tmp_path}/a/one.exr")
     assert files == [tmp_path / "a" / "one.exr"]
@@ -173,6 +180,8 @@ WRONG = {
     "another network in a film": ([ONE, "motion=turntable", "reference=true", "against=other.ckpt"], "not in a film"),
     "lights apart in a film": ([ONE, "motion=turntable", "lights=separate"], "a film has none"),
     "lights apart by a network that is not linear": ([ONE, "lights=separate"], "no sum over lights"),
+    "light passed on for ever": ([ONE, "transports=1000000"], "transports"),
+    "tokens of nothing": ([ONE, "token_resolution=0"], "token_resolution"),
     "no scene": (["scene=[]"], "scene"),
     "a scene that is not there": (["scene=absent.json"], "absent.json"),
 }  # fmt: skip

@@ -38,7 +38,8 @@ def store_uri(folder: str | Path) -> str:
     return f"sqlite:///{Path(folder).resolve() / 'mlflow.db'}"
 
 
-#: MLflow's pages begin with what is there for training, not with what is there for language models.
+#: MLflow's pages begin with what is there for training, not for language models, where they go by this. Those of 3.17
+#: go by `workflowType` in their address.
 SHOWN_AS = {"mlflow.experimentKind": "custom_model_development"}
 
 

@@ -1,0 +1,43 @@
+"""Vectors of three numbers, one at a time, for compiled loops."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rfpp.gbuffer.compiled import compiled
+
+#: Multiples of it, modulo 1, spread evenly over the unit interval however many they are.
+GOLDEN = 0.6180339887498949
+
+
+@compiled
+def unit(x, y, z):
+    """The vector's direction."""
+    length = max(np.sqrt(x * x + y * y + z * z), 1e-20)
+    return x / length, y / length, z / length
+
+
+@compiled
+def tangents(normal):
+    """Two, with which a unit normal is a frame (Duff et al., "Building an Orthonormal Basis, Revisited", 2017)."""
+    x, y, z = normal
+    sign = -1.0 if z < 0 else 1.0
+    a = -1 / (sign + z)
+    b = x * y * a
+    return (1 + sign * x * x * a, sign * b, -sign * x), (b, sign + y * y * a, -y)
+
+
+@compiled
+def in_frame(vector, first, second, normal):
+    """The vector's parts along two tangents and a normal."""
+    x, y, z = vector
+    along = x * normal[0] + y * normal[1] + z * normal[2]
+    return x * first[0] + y * first[1] + z * first[2], x * second[0] + y * second[1] + z * second[2], along
+
+
+@compiled
+def normal_of(a, b, c):
+    """Along the normal of a triangle, as long as twice its area."""
+    ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+    vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
+    return uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
