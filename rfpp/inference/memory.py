@@ -9,8 +9,8 @@ import psutil
 from rfpp.errors import UserError
 
 #: Of each point that is shaded, beside the network: rays, what they see, maps of features. Measured with rfpp-tiny at
-#: 2 × 2 points in each of 256² and 512² pixels: 1,400 and 900.
-_BYTES_PER_POINT = 1000
+#: 2 × 2 points in each of 256² and 512² pixels: 1,220 and 1,130.
+_BYTES_PER_POINT = 1200
 
 
 def require_memory(height: int, width: int, points: int) -> None:
