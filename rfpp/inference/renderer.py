@@ -191,7 +191,7 @@ class Renderer:
         """Pixels along each side of what tokens see as one."""
         stride = 1
         while (
-            self.network.shades_points
+            self.network.sees_coarse_pixels
             and max(height, width) >= 2 * stride * token_resolution
             and not any(side % (2 * stride * self.network.patch_size) for side in (height, width))
         ):

@@ -155,6 +155,11 @@ class RenderFormerPP(nn.Module):
         return bool(self.decoder.shading.channels)
 
     @property
+    def sees_coarse_pixels(self) -> bool:
+        """Whether what its head says of coarse pixels can be carried to finer ones (`stride`)."""
+        return self.shades_points and set(self.decoder.upsampling.channels) <= set(self.gbuffer_channels)
+
+    @property
     def patch_size(self) -> int:
         """Both sides of an image must be divisible by this."""
         return self.decoder.rays.patch_size

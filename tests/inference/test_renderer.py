@@ -77,6 +77,21 @@ def test_networks_that_shade_no_points_know_no_supersampling(renderer, scene):
     np.testing.assert_array_equal(*(renderer.render(scene, supersampling=number) for number in (1, 3)))
 
 
+COARSE = {
+    "the paper's": ((), False),
+    "direct light, no positions": (("+experiment=[ablation,direct_light]",), False),
+    "known light": (("+experiment=quickstart", "model=known_light"), True),
+}
+
+
+@pytest.mark.parametrize(("overrides", "coarse"), COARSE.values(), ids=COARSE.keys())
+def test_tokens_see_coarse_pixels_where_what_they_say_can_be_carried_to_fine_ones(scene, overrides, coarse):
+    ours = Renderer(network(*overrides), checkpoint_info())
+    all_pixels, half = (ours.render(scene, 16, light_samples=4, token_resolution=n) for n in (16, 8))
+    assert ours.network.sees_coarse_pixels == coarse
+    assert np.array_equal(all_pixels, half) != coarse
+
+
 def test_views_are_independent_of_each_other(renderer, scene):
     together = renderer.render(scene)
     alone = renderer.render(scene, cameras=scene.cameras[2:])
