@@ -16,8 +16,8 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Column, Table
 
-from rfpp.entry import entry_point
-from rfpp.evaluation.csv_files import Row, write_rows
+from rfpp.commands import entry_point
+from rfpp.evaluation.measuring.csv_files import Row, write_rows
 from rfpp.training.tracking.description import code_version, hardware
 
 

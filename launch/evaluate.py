@@ -14,28 +14,28 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
 
-from rfpp.entry import entry_point
+from rfpp.checkpoint.loading import load_network
+from rfpp.commands import entry_point
 from rfpp.errors import UserError
-from rfpp.evaluation.buckets import bucketed
-from rfpp.evaluation.confidence import Bootstrap, split_estimates
-from rfpp.evaluation.csv_files import write_buckets, write_records, write_summary
-from rfpp.evaluation.evaluate import baseline_records, fitted_baselines, network_records, render_stored
-from rfpp.evaluation.evaluation_file import Evaluation
-from rfpp.evaluation.panels import first_view, save_scene_panel
-from rfpp.evaluation.pictures import write_pictures
-from rfpp.evaluation.printed import results_table
-from rfpp.evaluation.ranking import pictured_scenes, ranked_scenes
-from rfpp.evaluation.records import ImageRecord, scene_records
-from rfpp.evaluation.report import write_report
-from rfpp.evaluation.results import log_to_training_run, results_folder, run_folder
-from rfpp.evaluation.signs_of_life import life_text, signs_of_life
-from rfpp.evaluation.training_cost import TrainingCost
-from rfpp.inference.checkpoint import load_network
+from rfpp.evaluation.measuring.buckets import bucketed
+from rfpp.evaluation.measuring.confidence import Bootstrap, split_estimates
+from rfpp.evaluation.measuring.csv_files import write_buckets, write_records, write_summary
+from rfpp.evaluation.measuring.evaluate import baseline_records, fitted_baselines, network_records, render_stored
+from rfpp.evaluation.measuring.evaluation_file import Evaluation
+from rfpp.evaluation.measuring.records import ImageRecord, scene_records
+from rfpp.evaluation.measuring.signs_of_life import life_text, signs_of_life
+from rfpp.evaluation.measuring.training_cost import TrainingCost
+from rfpp.evaluation.report.evaluation_report import write_report
+from rfpp.evaluation.report.pictures import write_pictures
+from rfpp.evaluation.report.ranking import pictured_scenes, ranked_scenes
+from rfpp.evaluation.report.scene_panels import first_view, save_scene_panel
+from rfpp.evaluation.tables.terminal import results_table
+from rfpp.evaluation.tracked_results import log_to_training_run, results_folder, run_folder
 from rfpp.metrics.image import ImageMetrics
 from rfpp.metrics.lpips import LPIPS
 from rfpp.model.radiosity import UnlearnedRadiosity
 from rfpp.progress import stages
-from rfpp.shards.stream import ShardSplit
+from rfpp.shards.dataset import ShardSplit
 from rfpp.training.config_file import write_config
 from rfpp.training.tracking.registry import checkpoint_file
 

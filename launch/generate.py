@@ -21,22 +21,22 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
 
-from rfpp.entry import entry_point
+from rfpp.commands import entry_point
 from rfpp.errors import ShardError, UserError
-from rfpp.panels import save_png
+from rfpp.imaging.panels import save_png
 from rfpp.progress import counting
-from rfpp.scene.objects.building import prepare
-from rfpp.scene.objects.library import INDEX, Library
-from rfpp.scene.objects.prepared import PreparedObjects
+from rfpp.scene.sampling.objects.building import prepare
+from rfpp.scene.sampling.objects.library import INDEX, Library
+from rfpp.scene.sampling.objects.prepared import PreparedObjects
+from rfpp.shards.dataset import find_sample
 from rfpp.shards.export import export
 from rfpp.shards.generation import make, merge
-from rfpp.shards.imported import Import
 from rfpp.shards.manifest import Manifest
 from rfpp.shards.pictures import contact_sheet, sample_panel
 from rfpp.shards.recipe import Recipe, Slice
+from rfpp.shards.renderformer_data import Import
 from rfpp.shards.sample import SceneSample, decode
 from rfpp.shards.status import Status, status
-from rfpp.shards.stream import find_sample
 from rfpp.shards.tar import unpack
 from rfpp.shards.verification import verify
 

@@ -12,12 +12,12 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig
 from rich.console import Console
 
-from rfpp.entry import entry_point, required
-from rfpp.evaluation.transport import trace_transport
-from rfpp.evaluation.transport_report import write_transport_report
-from rfpp.inference.checkpoint import load_network
+from rfpp.checkpoint.loading import load_network
+from rfpp.commands import entry_point, required
+from rfpp.evaluation.measuring.transport import trace_transport
+from rfpp.evaluation.report.transport_report import write_transport_report
 from rfpp.progress import stages
-from rfpp.shards.stream import ShardSplit
+from rfpp.shards.dataset import ShardSplit
 
 
 @entry_point("inspect_transport")

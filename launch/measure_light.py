@@ -16,15 +16,15 @@ from omegaconf import DictConfig
 from rich.console import Console
 from rich.table import Table
 
-from rfpp.entry import entry_point
-from rfpp.evaluation.light import measure
-from rfpp.evaluation.light_table import COLUMNS, light_row, write_light_rows
-from rfpp.inference.checkpoint import load_network
-from rfpp.inference.precision import matrix_dtype
+from rfpp.checkpoint.loading import load_network
+from rfpp.commands import entry_point
+from rfpp.evaluation.measuring.light import measure
+from rfpp.evaluation.tables.light_table import COLUMNS, light_row, write_light_rows
 from rfpp.model.linear_transport import LinearTransport
+from rfpp.model.matrix_precision import matrix_dtype
 from rfpp.model.radiosity import UnlearnedRadiosity
 from rfpp.progress import stages
-from rfpp.shards.stream import ShardSplit
+from rfpp.shards.dataset import ShardSplit
 from rfpp.training.tracking.description import code_version, hardware
 
 

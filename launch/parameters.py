@@ -17,8 +17,8 @@ from omegaconf import OmegaConf
 from rich.console import Console
 from rich.table import Column, Table
 
-from rfpp.entry import CONFIG_DIR
-from rfpp.scene.files import write_atomically
+from rfpp.commands import CONFIG_DIR
+from rfpp.files import write_atomically
 from rfpp.training.run import parameter_counts
 
 STAGES = ("embedding", "tokenizer", "transport", "decoder", "total")

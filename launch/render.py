@@ -19,22 +19,22 @@ from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
 
 from rfpp import Renderer
-from rfpp.entry import CONFIG_DIR, entry_point, settings
+from rfpp.commands import CONFIG_DIR, entry_point, settings
 from rfpp.errors import UserError
-from rfpp.inference.film import Film
+from rfpp.imaging.tone_maps import ToneMap
+from rfpp.inference.animation import Film
 from rfpp.inference.gbuffers import GBufferSource
 from rfpp.inference.layers import exr_layers, light_layers
 from rfpp.inference.motion.frames import Frames, with_cameras
+from rfpp.inference.overlapped_writing import written_beside
 from rfpp.inference.references import path_traced
 from rfpp.inference.request import Request
 from rfpp.inference.stills import write_comparison, write_still
 from rfpp.inference.video import encoder, write_video
-from rfpp.inference.writing import written_beside
 from rfpp.metrics.flip import flip_library
 from rfpp.progress import counting
 from rfpp.reference.cycles import CyclesSettings, require_blender
 from rfpp.scene.packed import PackedScene
-from rfpp.tone_maps import ToneMap
 from rfpp.training.config_file import write_config
 from rfpp.training.tracking.registry import checkpoint_file
 

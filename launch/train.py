@@ -24,12 +24,12 @@ from lightning.pytorch.loggers.logger import DummyLogger
 from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
 
-from rfpp.entry import entry_point
-from rfpp.inference.checkpoint import CheckpointInfo, load_initial_weights
+from rfpp.checkpoint.loading import CheckpointInfo, load_initial_weights
+from rfpp.commands import entry_point
 from rfpp.metrics.image import ImageMetrics
 from rfpp.training.blocks import compile_blocks
 from rfpp.training.callbacks.finite_gradients import NonFiniteGradientError
-from rfpp.training.checkpoints import checkpoint_to_resume, point_at
+from rfpp.training.checkpoint_files import checkpoint_to_resume, point_at
 from rfpp.training.config_file import write_config
 from rfpp.training.module import RenderingModule
 from rfpp.training.precision import training_precision

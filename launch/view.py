@@ -17,10 +17,11 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
 
-from rfpp import Renderer, Scene
-from rfpp.entry import CONFIG_DIR, entry_point, settings
+from rfpp import Renderer
+from rfpp.commands import CONFIG_DIR, entry_point, settings
 from rfpp.errors import MissingDependencyError
-from rfpp.tone_maps import ToneMap
+from rfpp.imaging.tone_maps import ToneMap
+from rfpp.scene.io.loading import load_scene
 from rfpp.training.tracking.registry import checkpoint_file
 
 
@@ -36,7 +37,7 @@ def main(cfg: DictConfig) -> None:
     renderer = Renderer.load(checkpoint, cfg.device, cfg.precision)
     viewer = Viewer(
         renderer,
-        Scene.load(cfg.scene),
+        load_scene(cfg.scene),
         tone_maps(),
         PathTracer(instantiate(settings("reference", "reference_settings", cfg.reference_settings))),
         host=cfg.host,

@@ -1,7 +1,7 @@
 """rfpp: an open implementation of RenderFormer++.
 
-from rfpp import Renderer, Scene
-images = Renderer.load("best.ckpt").render(Scene.load("data/scenes/cornell_box.json"))
+from rfpp import Renderer, load_scene
+images = Renderer.load("best.ckpt").render(load_scene("data/scenes/cornell_box.json"))
 """
 
 from importlib import import_module
@@ -9,12 +9,19 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from rfpp.inference.renderer import Renderer
+    from rfpp.scene.io.loading import load_scene
+    from rfpp.scene.io.saving import save_scene
     from rfpp.scene.spec import Scene
 
-__all__ = ["Renderer", "Scene"]
+__all__ = ["Renderer", "Scene", "load_scene", "save_scene"]
 
-#: Where these are. Both take their time to import: only who asks for one should wait for it.
-_MODULES = {"Renderer": "rfpp.inference.renderer", "Scene": "rfpp.scene.spec"}
+#: Where these are. They take their time to import: only who asks for one should wait for it.
+_MODULES = {
+    "Renderer": "rfpp.inference.renderer",
+    "Scene": "rfpp.scene.spec",
+    "load_scene": "rfpp.scene.io.loading",
+    "save_scene": "rfpp.scene.io.saving",
+}
 
 
 def __getattr__(name: str):

@@ -23,3 +23,9 @@ class CheckpointError(UserError):
 
 class MissingDependencyError(UserError):
     """An optional library, program or weight file is needed and not there."""
+
+
+def one_line(text: str, length: int = 200) -> str:
+    """Text of a file for messages and names: printable, on one line, of bounded length."""
+    kept = "".join(c if c.isprintable() else " " for c in text[: 4 * length])
+    return kept if len(kept) <= length else f"{kept[:length]}…"

@@ -12,9 +12,9 @@ import numpy as np
 import torch
 
 from rfpp.benchmark.spheres import LAMP, camera, spheres
-from rfpp.inference.checkpoint import CheckpointInfo
-from rfpp.inference.precision import matrix_dtype
+from rfpp.checkpoint.loading import CheckpointInfo
 from rfpp.inference.renderer import Renderer
+from rfpp.model.matrix_precision import matrix_dtype
 from rfpp.model.renderformer_pp import RenderFormerPP
 from rfpp.scene.packed import pack
 from rfpp.scene.spec import Scene

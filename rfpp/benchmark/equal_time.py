@@ -15,13 +15,13 @@ import torch
 from jaxtyping import Float
 
 from rfpp.benchmark.exhibits import Drawn, Stored
+from rfpp.files import write_atomically
 from rfpp.inference.references import Traced, path_traced
 from rfpp.inference.renderer import Renderer
 from rfpp.metrics.flicker import flicker
 from rfpp.metrics.flip import flip
 from rfpp.metrics.image import log_l1, ssim
 from rfpp.reference.cycles import CyclesSettings
-from rfpp.scene.files import write_atomically
 from rfpp.scene.packed import PackedScene
 from rfpp.scene.triangles import EMISSION
 
@@ -75,7 +75,7 @@ def measure(
     All are warm, and take turns; seconds are medians over the rounds.
 
     Args:
-        checkpoint: see `rfpp.inference.checkpoint.load_network`.
+        checkpoint: see `rfpp.checkpoint.loading.load_network`.
         samples: of Cycles' methods.
         rounds: how often all are timed.
         cycles: its settings but for the samples.

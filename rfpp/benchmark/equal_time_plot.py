@@ -19,7 +19,7 @@ import matplotlib.pyplot as plt
 from matplotlib.axes import Axes
 
 from rfpp.errors import UserError
-from rfpp.scene.files import write_atomically
+from rfpp.files import write_atomically
 
 #: Panel → the column of its seconds, and that of its errors.
 _PANELS = {

@@ -10,8 +10,8 @@ from typing import SupportsFloat
 import numpy as np
 
 from rfpp.errors import UserError
+from rfpp.scene.io.loading import load_scene
 from rfpp.scene.packed import PackedScene, pack
-from rfpp.scene.spec import Scene
 from rfpp.shards.job import SceneSource
 
 
@@ -21,7 +21,7 @@ class Stored:
 
     Attributes:
         title: what the gallery calls it.
-        path: what `Scene.load` reads.
+        path: what `load_scene` reads.
         camera: number of one of its cameras.
         moved: name of an object → its translation, where it is another than in the file.
     """
@@ -32,8 +32,8 @@ class Stored:
     moved: Mapping[str, Sequence[SupportsFloat]] = field(default_factory=dict)
 
     def scene(self) -> PackedScene:
-        """Raises UserError: `moved` names no object of the file; SceneError: see `Scene.load`."""
-        scene = Scene.load(self.path)
+        """Raises UserError: `moved` names no object of the file; SceneError: see `load_scene`."""
+        scene = load_scene(self.path)
         if unknown := set(self.moved) - {item.name for item in scene.objects}:
             raise UserError(f"{self.path}: has no object '{min(unknown)}' to move: correct the gallery's `moved`")
         objects = tuple(

@@ -10,11 +10,11 @@ import numpy as np
 import torch
 
 from rfpp.benchmark.exhibits import Drawn, Stored
+from rfpp.imaging.panels import error_map, panel, save_png, tone_mapped
 from rfpp.inference.references import path_traced
 from rfpp.inference.renderer import Renderer
 from rfpp.metrics.flip import flip
 from rfpp.metrics.image import log_l1
-from rfpp.panels import error_map, panel, save_png, tone_mapped
 from rfpp.reference.cycles import CyclesSettings
 
 Row = dict[str, str | int | float]
@@ -34,7 +34,7 @@ def measure(
     of another scene to wake it up.
 
     Args:
-        checkpoint: see `rfpp.inference.checkpoint.load_network`.
+        checkpoint: see `rfpp.checkpoint.loading.load_network`.
         resolution: pixels.
         reference: how Cycles renders.
         picture: PNG file to write.

@@ -14,11 +14,11 @@ from typing import Any
 import torch
 
 from rfpp.batch import RaggedBatch
-from rfpp.benchmark.cost_case import Case
-from rfpp.benchmark.cost_process import GB
-from rfpp.benchmark.cost_rows import Row, read_rows
-from rfpp.benchmark.cost_tasks import Setting, Task, Untrained
-from rfpp.benchmark.cost_turns import OK
+from rfpp.benchmark.cost.case import Case
+from rfpp.benchmark.cost.process import GB
+from rfpp.benchmark.cost.rows import Row, read_rows
+from rfpp.benchmark.cost.tasks import Setting, Task, Untrained
+from rfpp.benchmark.cost.turns import OK
 from rfpp.errors import UserError
 from rfpp.model.renderformer_pp import RenderFormerPP
 from rfpp.training.flops import matrix_product_rate, published_peak

@@ -10,10 +10,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from rfpp.benchmark.cost_rows import read_rows
+from rfpp.benchmark.cost.rows import read_rows
 from rfpp.benchmark.gpu import NEEDED
 from rfpp.errors import UserError
-from rfpp.scene.files import write_atomically
+from rfpp.files import write_atomically
 
 #: What stands before and after the table in a file that holds it.
 BEGIN, END = "<!-- made by rfpp.benchmark.gpu_table -->", "<!-- end of what was made -->"

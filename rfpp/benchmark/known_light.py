@@ -15,7 +15,7 @@ from rfpp.gbuffer.first_hit import GBuffer, camera_caster, channel, first_hit
 from rfpp.gbuffer.light_sampler import LightSampler
 from rfpp.gbuffer.reflection import with_reflection
 from rfpp.scene.packed import PackedScene, pack
-from rfpp.scene.sampler import SceneFamily, TriangleBudget
+from rfpp.scene.sampling.family import SceneFamily, TriangleBudget
 
 Row = dict[str, str | int | float | None]
 Result = TypeVar("Result")

@@ -13,18 +13,19 @@ import torch
 from hydra.utils import instantiate
 
 from rfpp.batch import RaggedBatch
-from rfpp.benchmark.cost_rows import Row, read_rows
-from rfpp.benchmark.cost_tasks import Setting
-from rfpp.inference.building import build
+from rfpp.benchmark.cost.rows import Row, read_rows
+from rfpp.benchmark.cost.tasks import Setting
+from rfpp.checkpoint.building import build
+from rfpp.imaging.radiance import log_decode
 from rfpp.metrics.image import log_l1
 from rfpp.model.renderformer_pp import RenderFormerPP
-from rfpp.radiance import log_decode
+from rfpp.shards.dataset import ShardSplit
 from rfpp.shards.order import ShuffledOrder, leading
 from rfpp.shards.sample import SceneSample, ViewChoice
-from rfpp.shards.stream import ShardSplit
+from rfpp.shards.views import AllViews
 from rfpp.training.dealing import InOrder
 from rfpp.training.module import decay_groups
-from rfpp.training.views import AllViews, GlobalBatches, TrainingViews
+from rfpp.training.views import GlobalBatches, TrainingViews
 
 _NEEDED = {"optimizer", "seed", "step", "seconds", "log_l1", "steps"}
 

@@ -11,12 +11,12 @@ from jaxtyping import Float
 from torch import Tensor
 
 from rfpp.batch import RaggedBatch
-from rfpp.inference.checkpoint import load_network
+from rfpp.checkpoint.loading import load_network
+from rfpp.imaging.radiance import log_decode
 from rfpp.metrics.image import log_l1
 from rfpp.model.renderformer_pp import RenderFormerPP
-from rfpp.radiance import log_decode
-from rfpp.shards.stream import ShardSplit
-from rfpp.training.views import AllViews
+from rfpp.shards.dataset import ShardSplit
+from rfpp.shards.views import AllViews
 
 Row = dict[str, str | int | float]
 

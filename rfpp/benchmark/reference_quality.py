@@ -15,7 +15,7 @@ from rfpp.reference import cycles
 from rfpp.reference.cycles import CyclesSettings
 from rfpp.reference.farm import RenderFarm
 from rfpp.scene.packed import PackedScene, pack
-from rfpp.scene.sampler import SceneFamily
+from rfpp.scene.sampling.family import SceneFamily
 
 Row = dict[str, str | int | float]
 

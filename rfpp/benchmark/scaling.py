@@ -14,7 +14,7 @@ from hydra.utils import instantiate
 from scipy.optimize import nnls
 
 from rfpp.batch import RaggedBatch, SceneViews
-from rfpp.benchmark.cost_case import noise
+from rfpp.benchmark.cost.case import noise
 from rfpp.benchmark.ranks import Timings, timed_ranks
 from rfpp.benchmark.step_time import Cluster, Work, step_time
 from rfpp.losses.rendering import RenderingLoss

@@ -10,11 +10,11 @@ import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from rfpp.checkpoint.loading import CheckpointInfo
 from rfpp.errors import UserError
-from rfpp.evaluation.evaluation_file import Evaluation, read_evaluations
-from rfpp.evaluation.number_text import interval_text, number_text
-from rfpp.evaluation.records import MODEL
-from rfpp.inference.checkpoint import CheckpointInfo
+from rfpp.evaluation.measuring.evaluation_file import Evaluation, read_evaluations
+from rfpp.evaluation.measuring.number_text import interval_text, number_text
+from rfpp.evaluation.measuring.records import MODEL
 from rfpp.inference.renderer import Renderer
 
 DESCRIPTION = """\

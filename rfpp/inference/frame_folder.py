@@ -12,7 +12,7 @@ import torch
 from jaxtyping import Float
 from torch import nn
 
-from rfpp.exr import ImageFileError, compact, decode_exr, exr_attributes, read_exr, write_exr
+from rfpp.imaging.exr import ImageFileError, compact, decode_exr, exr_attributes, read_exr, write_exr
 from rfpp.scene.packed import PackedScene
 
 #: Name in the file's header of the digest of everything the image depends on.

@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Float
 
 from rfpp.errors import UserError
-from rfpp.exr import compact
 from rfpp.gbuffer.first_hit import CELL_CHANNELS, CHANNELS, COLOUR_CHANNELS
+from rfpp.imaging.exr import compact
 
 #: The channels that are pictures: numbers of cells are none.
 LAYERS = tuple(name for name in CHANNELS if name not in CELL_CHANNELS)

@@ -13,17 +13,17 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from rfpp.batch import RaggedBatch, SceneViews
+from rfpp.checkpoint.loading import CHECKPOINT_KEY, CheckpointInfo, load_network
+from rfpp.checkpoint.model_card import model_card
+from rfpp.checkpoint.model_folder import write_folder
 from rfpp.errors import SceneError, UserError
-from rfpp.inference.checkpoint import CHECKPOINT_KEY, CheckpointInfo, load_network
+from rfpp.imaging.radiance import log_decode
 from rfpp.inference.gbuffers import GBufferSource
 from rfpp.inference.memory import require_memory
-from rfpp.inference.model_card import model_card
-from rfpp.inference.model_folder import write_folder
 from rfpp.inference.object_encoder import ObjectEncoder
-from rfpp.inference.precision import convert_blocks, matrix_dtype
+from rfpp.model.matrix_precision import convert_blocks, matrix_dtype
 from rfpp.model.renderformer_pp import EncodedScenes
 from rfpp.model.tokenizer import ObjectTokens
-from rfpp.radiance import log_decode
 from rfpp.scene.packed import PackedScene, pack
 from rfpp.scene.spec import Camera, Scene
 
@@ -36,7 +36,7 @@ class Renderer:
     """Renders scenes with a trained network.
 
         renderer = Renderer.load("data/runs/quickstart/latest/checkpoints/best.ckpt")
-        images = renderer.render(Scene.load("data/scenes/cornell_box.json"))
+        images = renderer.render(load_scene("data/scenes/cornell_box.json"))
 
     It remembers what objects were encoded to and what cameras saw first, so that an edited scene costs what the edit
     changed; the image is the one that a new renderer would give, on a CPU to the last bit. Threads may share it.
@@ -70,8 +70,8 @@ class Renderer:
         """Load a checkpoint, onto a GPU if there is one.
 
         Args:
-            checkpoint: see `rfpp.inference.checkpoint.load_network`.
-            precision: see `rfpp.inference.precision.matrix_dtype`.
+            checkpoint: see `rfpp.checkpoint.loading.load_network`.
+            precision: see `rfpp.model.matrix_precision.matrix_dtype`.
 
         Raises:
             CheckpointError: it cannot be read, or is not of a network we know.

@@ -12,6 +12,7 @@ from pydantic import BeforeValidator, Field, field_validator
 
 from rfpp.errors import UserError
 from rfpp.inference.layers import checked_layers
+from rfpp.scene.io.loading import load_scene
 from rfpp.scene.packed import PackedScene
 from rfpp.scene.spec import Scene, Strict
 
@@ -40,7 +41,7 @@ class Request(Strict):
         output: a folder, or the path of the EXR or MP4 file of a single scene.
         resolution: (height, width), or None for the network's.
         cameras: numbers, or None for all.
-        triangles, up, transparent: of `Scene.load`.
+        triangles, up, transparent: of `load_scene`.
         layers: G-buffer channels for the EXR.
         exposure: stops.
         light_samples: shadow rays per light and pixel, and rays into reflections.
@@ -102,7 +103,7 @@ class Request(Strict):
 
     def load(self, scene: Path) -> Scene | PackedScene:
         """One of the scenes."""
-        return Scene.load(scene, triangles=self.triangles, up=self.up, transparent=self.transparent)
+        return load_scene(scene, triangles=self.triangles, up=self.up, transparent=self.transparent)
 
     @property
     def sampling(self) -> dict[str, int | None]:

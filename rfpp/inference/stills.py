@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from rfpp.exr import compact, write_exr
+from rfpp.imaging.exr import compact, write_exr
+from rfpp.imaging.panels import error_map, false_colours, panel, save_png
+from rfpp.imaging.tone_maps import ToneMap
 from rfpp.metrics.flip import flip
-from rfpp.panels import error_map, false_colours, panel, save_png
-from rfpp.tone_maps import ToneMap
 
 Image = Float[np.ndarray, "h w 3"]
 

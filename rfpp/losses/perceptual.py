@@ -8,8 +8,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from rfpp.imaging.radiance import log_decode, perceptual
 from rfpp.metrics.lpips import LPIPS
-from rfpp.radiance import log_decode, perceptual
 
 
 class PerceptualLoss:

@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from rfpp.radiance import log_encode
+from rfpp.imaging.radiance import log_encode
 
 
 def log_l1(

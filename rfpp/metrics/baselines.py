@@ -12,7 +12,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from rfpp.radiance import log_decode, log_encode
+from rfpp.imaging.radiance import log_decode, log_encode
 
 Images = Float[Tensor, "n 3 h w"]
 

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
-from rfpp.radiance import perceptual
+from rfpp.imaging.radiance import perceptual
 
 Frames = Iterable[Float[np.ndarray, "h w 3"]]
 

@@ -14,9 +14,9 @@ from jaxtyping import Float
 from torch import Tensor
 from torchmetrics.functional.image import structural_similarity_index_measure
 
+from rfpp.imaging.radiance import log_encode, perceptual
 from rfpp.metrics.l1_parts import GLOSSY, SMOOTH, l1_parts
 from rfpp.metrics.lpips import LPIPS
-from rfpp.radiance import log_encode, perceptual
 
 #: Keeps the relative error of nearly black pixels bounded.
 MAPE_EPS = 0.01

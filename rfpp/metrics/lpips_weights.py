@@ -25,8 +25,8 @@ from safetensors.torch import load_file, save
 from torch import Tensor
 
 from rfpp.errors import MissingDependencyError, UserError
+from rfpp.files import write_atomically
 from rfpp.metrics.package_index import PackageIndexError, download_sdist
-from rfpp.scene.files import write_atomically
 
 #: VGG16's convolutions by torchvision's names: (input channels, output channels), in order.
 CONV_CHANNELS = MappingProxyType(

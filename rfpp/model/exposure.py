@@ -19,7 +19,7 @@ class UnitExposure:
         return torch.ones(len(batch.scenes), device=batch.positions.device)
 
 
-class ArrivingLight:
+class MeanIrradianceExposure:
     """Every scene at the brightness of what its lights send to its surfaces, if nothing stood in the way.
 
     Not in the paper. A light's orientation changes how much of it arrives more than its strength does, and a small

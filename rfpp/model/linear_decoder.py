@@ -69,7 +69,7 @@ class CorrectedViewDecoder(ViewDecoder):
 
     Not in the paper. Four factors, exp(γ tanh(map)), of the known and the gathered light of both lobes, which carry the
     noise of their samples and what cells are too coarse for. Nothing is added: without light it stays black. The image
-    is linear in the brightness of all lights (with `ArrivingLight`), no longer in each light.
+    is linear in the brightness of all lights (with `MeanIrradianceExposure`), no longer in each light.
 
     Args:
         gathering: from cells to pixels.

@@ -16,7 +16,7 @@ from rfpp.model.irradiance import CastIrradiance, CoupledIrradiance
 from rfpp.model.lit_cells import LitCells, Reflectance
 from rfpp.model.precision import in_float32
 from rfpp.model.tokenizer import SceneTokens
-from rfpp.model.transport import Bounces, Transported, UnconstrainedTransport
+from rfpp.model.transport import Transported, TransportStates, UnconstrainedTransport
 from rfpp.packed_cells import PackedCells
 
 #: A surface sends on at most so much of what arrives: with row sums of A of at most 1, energy never grows.
@@ -64,10 +64,10 @@ class LinearTransport(nn.Module):
         divergence_from_rays = divergence(couplings, tokens.cells) if self.training else None
         return Transported(lit[self.iterations], states[1:], divergence_from_rays)
 
-    def each(self, tokens: SceneTokens, count: int) -> tuple[list[SceneTokens], Bounces]:
+    def each(self, tokens: SceneTokens, count: int) -> tuple[list[SceneTokens], TransportStates]:
         """The tokens with ⁽ᵏ⁾I on their cells, k = 0 … `count`, and these."""
         lit, states, _ = self._each(tokens, count)
-        return lit, Bounces(torch.zeros_like(states[0]), states)
+        return lit, TransportStates(torch.zeros_like(states[0]), states)
 
     def _each(
         self, tokens: SceneTokens, count: int

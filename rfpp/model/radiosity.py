@@ -6,17 +6,17 @@ import torch
 from torch import nn
 
 from rfpp.batch import RaggedBatch
+from rfpp.imaging.radiance import log_encode
 from rfpp.model.bounces import light_after
 from rfpp.model.cell_gathering import EvenGathering
-from rfpp.model.film import PixelFilter
 from rfpp.model.form_factors import CastFormFactors
 from rfpp.model.joint_window import JointWindow
 from rfpp.model.linear_decoder import KNOWN, radiance_of
 from rfpp.model.lit_cells import LitCells, Reflectance
+from rfpp.model.pixel_filter import PixelFilter
 from rfpp.model.renderformer_pp import Rendering
 from rfpp.model.view_channels import ViewChannels
 from rfpp.model.view_decoder import means, repeated
-from rfpp.radiance import log_encode
 
 
 class UnlearnedRadiosity(nn.Module):

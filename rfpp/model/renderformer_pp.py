@@ -8,13 +8,13 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from rfpp.batch import RaggedBatch
-from rfpp.model.exposure import ArrivingLight, UnitExposure
-from rfpp.model.source import CellLight, EmittedLight, FirstBounce
+from rfpp.imaging.radiance import log_encode
+from rfpp.model.exposure import MeanIrradianceExposure, UnitExposure
+from rfpp.model.initial_light import CellLight, EmittedLight, FirstBounce
 from rfpp.model.tokenizer import ObjectTokens, SceneTokens, TriangleTokens
-from rfpp.model.transport import Bounces, Transport
+from rfpp.model.transport import Transport, TransportStates
 from rfpp.model.triangle_embedding import TexturePatchEmbedding, TriangleEmbedding
 from rfpp.model.view_decoder import ViewDecoder
-from rfpp.radiance import log_encode
 from rfpp.segments import Segments
 
 
@@ -65,7 +65,7 @@ class RenderFormerPP(nn.Module):
         tokenizer: ObjectTokens | TriangleTokens,
         transport: Transport,
         decoder: ViewDecoder,
-        exposure: UnitExposure | ArrivingLight,
+        exposure: UnitExposure | MeanIrradianceExposure,
         source: EmittedLight | FirstBounce | CellLight,
     ):
         super().__init__()
@@ -102,7 +102,7 @@ class RenderFormerPP(nn.Module):
         transported = self.transport(tokens)
         return EncodedScenes(transported.tokens, exposure, transported.states, transported.divergence)
 
-    def bounces(self, batch: RaggedBatch, count: int) -> tuple[list[Float[Tensor, "b v 3 h w"]], Bounces]:
+    def bounces(self, batch: RaggedBatch, count: int) -> tuple[list[Float[Tensor, "b v 3 h w"]], TransportStates]:
         """log10(1 + radiance) decoded after k = 0 … `count` applications of the operator, and what it was applied to.
 
         For a network with an operator, see `iterations`.
@@ -112,7 +112,7 @@ class RenderFormerPP(nn.Module):
 
     def transported_each(
         self, exposure: Float[Tensor, " b"], tokens: SceneTokens, count: int
-    ) -> tuple[list[EncodedScenes], Bounces]:
+    ) -> tuple[list[EncodedScenes], TransportStates]:
         """What `tokenize` made, after k = 0 … `count` applications; see `bounces`."""
         after, bounces = self.transport.each(tokens, count)
         return [EncodedScenes(tokens, exposure, ()) for tokens in after], bounces

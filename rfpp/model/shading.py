@@ -9,7 +9,7 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
-from rfpp.radiance import log_decode, log_encode
+from rfpp.imaging.radiance import log_decode, log_encode
 
 
 @runtime_checkable

@@ -32,7 +32,7 @@ class Transported:
     divergence: Float[Tensor, ""] | None = None
 
 
-class Bounces(NamedTuple):
+class TransportStates(NamedTuple):
     """F_e [N, D] and the scattered features ⁽⁰⁾F_s, ⁽¹⁾F_s, …, one more than the applications of the operator.
 
     Or what stands for them: light between cells.
@@ -91,7 +91,7 @@ class EncodedTransport(nn.Module):
     def iterations(self) -> int:
         return self.transport.iterations
 
-    def each(self, tokens: SceneTokens, count: int) -> tuple[list[SceneTokens], Bounces]:
+    def each(self, tokens: SceneTokens, count: int) -> tuple[list[SceneTokens], TransportStates]:
         return self.transport.each(self.encoder(tokens).tokens, count)
 
 
@@ -162,7 +162,7 @@ class PhysicsInformedTransport(nn.Module):
         after, (_, states) = self.each(tokens, self.iterations + self.training)
         return Transported(after[self.iterations], states[1:])
 
-    def each(self, tokens: SceneTokens, count: int) -> tuple[list[SceneTokens], Bounces]:
+    def each(self, tokens: SceneTokens, count: int) -> tuple[list[SceneTokens], TransportStates]:
         """The tokens with ⁽ᵏ⁾F_s + F_e for features, k = 0 … `count`, whatever K; and these."""
         pattern, rotation = AttentionPattern(tokens.segments), self.position(tokens.points)
         emitted, scattered = self.emission_encoder(tokens.features, tokens.log_light)
@@ -170,4 +170,4 @@ class PhysicsInformedTransport(nn.Module):
         for _ in range(count):
             states.append(self.operator(states[-1] + emitted, pattern, rotation))
         after = [replace(tokens, features=state + emitted) for state in states]
-        return after, Bounces(emitted, tuple(states))
+        return after, TransportStates(emitted, tuple(states))

@@ -9,9 +9,9 @@ from torch import Tensor, nn
 
 from rfpp.batch import RaggedBatch
 from rfpp.errors import UserError
+from rfpp.imaging.radiance import log_encode
 from rfpp.model.block import FLOAT32_EPS, RMSNorm
 from rfpp.model.encoding import FrequencyEncoding
-from rfpp.radiance import log_encode
 from rfpp.scene.texture import FLAT_NORMAL, TEXTURE_CHANNELS, covered_cells
 
 MATERIAL_CHANNELS = 10

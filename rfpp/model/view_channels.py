@@ -11,7 +11,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from rfpp.gbuffer.first_hit import CELL_CHANNELS, CHANNELS, GATHERED_CHANNELS, LIGHT_CHANNELS
-from rfpp.radiance import log_encode
+from rfpp.imaging.radiance import log_encode
 
 #: Numbers of every channel that decoders know, light among them.
 SIZES = CHANNELS | dict.fromkeys(GATHERED_CHANNELS, 3)

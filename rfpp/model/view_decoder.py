@@ -16,8 +16,8 @@ from rfpp.model.block import CrossAttention, RMSNorm, SelfAttention, SwiGLU
 from rfpp.model.camera_space import to_camera
 from rfpp.model.dpt import LEVELS, DPTHead
 from rfpp.model.encoding import RelativeSpatialEncoding, Rotation, rotate
-from rfpp.model.film import CentreSample, PixelFilter
 from rfpp.model.guided_upsampling import GuidedUpsampling
+from rfpp.model.pixel_filter import CentreSample, PixelFilter
 from rfpp.model.ray_bundle import CameraOrigin, FirstHitPosition, RayBundleEmbedding
 from rfpp.model.ray_windows import ShiftedWindows, WholeView
 from rfpp.model.shading import Shading

@@ -25,7 +25,7 @@ import numpy as np
 from jaxtyping import Float
 
 from rfpp.errors import MissingDependencyError, UserError
-from rfpp.exr import ImageFileError, read_exr
+from rfpp.imaging.exr import ImageFileError, read_exr
 from rfpp.reference.blender_scene import add_geometry
 from rfpp.scene.triangles import SceneTriangles
 

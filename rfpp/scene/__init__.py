@@ -1,1 +1,1 @@
-"""What a scene is: geometry, materials, cameras, the files they come from and the samplers that invent them."""
+"""What a scene is: objects, materials, cameras, and the triangles that everything else reads."""

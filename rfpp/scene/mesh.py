@@ -1,20 +1,13 @@
-"""Triangle meshes: load, save, normalise, decimate."""
+"""Triangle meshes: valid by construction, normalised, decimated."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
-import trimesh
 from jaxtyping import Bool, Float
 
 from rfpp.errors import SceneError
-from rfpp.scene.files import write_atomically
-
-#: The formats that `load_mesh` reads.
-MESH_SUFFIXES = (".obj", ".ply", ".stl", ".gltf", ".glb")
 
 #: A triangle lower than this fraction of its longest side has no direction in float32.
 _DEGENERATE_SLIMNESS = 1e-6
@@ -58,46 +51,6 @@ class Mesh:
     def corners(self) -> np.ndarray:
         """[F, 3, 3] corner positions."""
         return self.vertices[self.faces]
-
-
-def load_mesh(path: Path) -> Mesh:
-    """Read an OBJ, PLY, STL or glTF file; polygons are cut into triangles, materials and stored normals are ignored.
-
-    The meshes of a glTF file are placed by its nodes and put together.
-
-    Raises:
-        SceneError: naming the file, if it is missing, unreadable or not a valid `Mesh`, claims more than it holds, or
-            names files outside its folder.
-    """
-    if path.suffix.lower() not in MESH_SUFFIXES:
-        raise SceneError(f"{path}: '{path.suffix}' is not a mesh format that can be read: export OBJ, PLY, STL or glTF")
-    if not path.is_file():
-        raise SceneError(f"{path}: there is no such mesh file: correct the path")
-    # Late: the readers of scenes are built on this module.
-    from rfpp.scene.readers.soundness import require_sound
-
-    require_sound(path)
-    if path.suffix.lower() == ".obj":
-        _check_obj_indices(path)
-    try:
-        if path.suffix.lower() in (".gltf", ".glb"):
-            loaded = trimesh.load_scene(path, process=False, skip_materials=True).to_mesh()
-        else:
-            loaded = trimesh.load_mesh(path, process=False, skip_materials=True)
-        vertices, faces = loaded.vertices, loaded.faces
-    except Exception as error:  # trimesh's readers raise whatever the file makes them stumble over
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise SceneError(f"{path}: cannot be read as a mesh ({reason}): export it again") from None
-    try:
-        return Mesh(vertices, faces)
-    except SceneError as error:
-        raise SceneError(f"{path}: {error}") from None
-
-
-def save_mesh(mesh: Mesh, path: Path) -> None:
-    """Write an OBJ file that reads back exactly. Raises UserError if it cannot be written."""
-    lines = [f"v {x} {y} {z}" for x, y, z in mesh.vertices] + [f"f {a} {b} {c}" for a, b, c in mesh.faces + 1]
-    write_atomically(path, ("\n".join(lines) + "\n").encode())
 
 
 def normalized(mesh: Mesh) -> Mesh:
@@ -182,25 +135,3 @@ def _clustered(mesh: Mesh, cells: int) -> Mesh:
     faces = index[mesh.faces]
     _, first = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)
     return without_degenerate_faces(Mesh(sums / count[:, None], faces[np.sort(first)]))
-
-
-def _check_obj_indices(path: Path) -> None:
-    """Raise SceneError at the first face that names a vertex which the file does not have."""
-    vertices, named = 0, []
-    for number, line in _lines(path):
-        if line[:2] in ("v ", "v\t"):
-            vertices += 1
-        elif line[:2] in ("f ", "f\t"):
-            for index in (token.split("/")[0] for token in line.split("#")[0].split()[1:]):
-                if index.lstrip("-").isdigit():
-                    named.append((number, int(index), vertices + int(index) + 1 if int(index) < 0 else int(index)))
-    for number, written, index in named:
-        if not 1 <= index <= vertices:
-            raise SceneError(
-                f"{path}: line {number}: the face refers to vertex {written} of {vertices}: export the mesh again"
-            )
-
-
-def _lines(path: Path) -> Iterator[tuple[int, str]]:
-    with path.open(encoding="utf-8", errors="replace") as file:
-        yield from ((number, line.lstrip()) for number, line in enumerate(file, start=1))

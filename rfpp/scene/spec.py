@@ -9,18 +9,13 @@ from __future__ import annotations
 import math
 import reprlib
 import warnings
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, no_type_check
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from rfpp.errors import SceneError
+from rfpp.errors import SceneError, one_line
 from rfpp.scene.mesh import Mesh
-from rfpp.scene.untrusted import one_line
-
-if TYPE_CHECKING:
-    from rfpp.scene.packed import PackedScene
 
 #: Lengths, angles and radiances beyond are mistakes, and lose what is small beside them in float32.
 FARTHEST, BRIGHTEST = 1e5, 1e9
@@ -174,50 +169,6 @@ class Scene(Strict):
         if len(set(names)) != len(names):
             raise ValueError(f"objects: the name '{next(n for n in names if names.count(n) > 1)}' is used twice")
         return self
-
-    @classmethod
-    @no_type_check  # PackedScene is built on this module, so its name cannot be known here at run time
-    def load(
-        cls,
-        path: str | Path,
-        *,
-        triangles: int | None = None,
-        up: str | None = None,
-        transparent: Literal["opaque", "drop", "refuse"] = "opaque",
-    ) -> Scene | PackedScene:
-        """Read any scene.
-
-        RenderFormer JSON v1.0 as it is, and its H5, which holds no objects and comes packed; glTF (.gltf, .glb), OBJ
-        with MTL, PLY, STL, or a folder of these, whose surfaces are fitted into [-0.5, 0.5]^3, with a camera and lights
-        where there are none. Each change is a warning of one line. `rfpp.scene.readers` says how nodes, materials,
-        lights and textures are read.
-
-        Args:
-            triangles: a scene of more is decimated to so many.
-            up: the axis that points up in OBJ (else y), PLY and STL files (else z); glTF says y.
-            transparent: what becomes of surfaces that light should pass through, which nothing here does.
-
-        Raises:
-            SceneError: naming the file, what is wrong or cannot be represented, and the fix.
-        """
-        from rfpp.scene.loading import load_any
-
-        return load_any(Path(path), triangles, up, transparent)
-
-    def save(self, path: str | Path) -> Path:
-        """Write RenderFormer JSON v1.0 with the meshes as OBJ files beside it, or its H5 (.h5); returns the path.
-
-        Raises SceneError for JSON where a material varies over an object's faces, which only H5 holds.
-        """
-        path = Path(path)
-        if path.suffix not in (".h5", ".hdf5"):
-            from rfpp.scene.formats import save_scene
-
-            return save_scene(self, path)
-        from rfpp.scene.h5 import save_h5  # its library is an extra
-        from rfpp.scene.packed import pack
-
-        return save_h5(pack(self), path)
 
 
 def first_problem(error: ValidationError, noun: str = "") -> str:

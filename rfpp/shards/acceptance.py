@@ -10,7 +10,7 @@ from rfpp.errors import UserError
 from rfpp.gbuffer.direct_light import direct_radiance
 from rfpp.scene.camera import camera_to_world
 from rfpp.scene.spec import Camera
-from rfpp.shards.stage import Stage
+from rfpp.shards.scene_rays import Stage
 
 #: Why a view is refused, as the index and the manifest count it.
 EMPTY, UNLIT = "empty_views", "unlit_views"

@@ -13,12 +13,12 @@ import numpy as np
 from jaxtyping import Float
 
 from rfpp.errors import SceneError, UserError
-from rfpp.exr import write_exr
 from rfpp.gbuffer.direct_light import direct_radiance
 from rfpp.gbuffer.first_hit import channel, object_ids
-from rfpp.panels import save_png, tone_mapped
-from rfpp.scene.formats import save_scene
-from rfpp.scene.h5 import save_h5
+from rfpp.imaging.exr import write_exr
+from rfpp.imaging.panels import save_png, tone_mapped
+from rfpp.scene.io.renderformer_h5 import save_h5
+from rfpp.scene.io.renderformer_json import save_json
 from rfpp.scene.mesh import Mesh
 from rfpp.scene.packed import PackedScene
 from rfpp.scene.shading import corner_normals
@@ -39,12 +39,12 @@ def export(sample: SceneSample, format: str, folder: Path) -> list[Path]:
 def export_renderformer(sample: SceneSample, folder: Path) -> list[Path]:
     """RenderFormer JSON v1.0 with a mesh per object, and the images of `export_exr`, also as PNG.
 
-    `Scene.load` gives back positions and materials exactly and cameras to float32. Of normals the format says only
+    `load_scene` gives back positions and materials exactly and cameras to float32. Of normals the format says only
     whether an object is smooth: whichever of flat and smooth is nearer to the sample's is written, which for generated
     scenes is what they were made with; any others are lost. An object of several materials becomes an object for each,
     with edges between them. Triangles without area are left out.
     """
-    scene = save_scene(as_scene(sample), folder / f"{sample.key}.json")
+    scene = save_json(as_scene(sample), folder / f"{sample.key}.json")
     pictures = [
         save_png(tone_mapped(image), folder / f"{sample.key}.view{view}.png")
         for view, image in enumerate(sample.images)
@@ -53,7 +53,7 @@ def export_renderformer(sample: SceneSample, folder: Path) -> list[Path]:
 
 
 def export_h5(sample: SceneSample, folder: Path) -> list[Path]:
-    """RenderFormer's H5 as its training reads it, see `rfpp.scene.h5`; materials and images in half precision.
+    """RenderFormer's H5 as its training reads it (`rfpp.scene.io.renderformer_h5`); materials and images in half.
 
     Its G-buffers follow as `gbuffer/<name>` [V, H, W] or [V, H, W, 3] in the names, types and units of the sample's
     EXR files, but `gbuffer/triangle` counts from 0 and is -1 where nothing is hit.

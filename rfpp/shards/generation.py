@@ -13,11 +13,11 @@ from filelock import FileLock, Timeout
 
 from rfpp.errors import MissingDependencyError, ShardError, UserError
 from rfpp.reference.farm import RenderFarm
+from rfpp.shards.checkpointed_shard import KeptJob, SampleFolder, UnfinishedShard
 from rfpp.shards.index import load_index, to_json
 from rfpp.shards.job import SceneTask
 from rfpp.shards.manifest import MANIFEST_FILE, Manifest, manifest_json
 from rfpp.shards.recipe import WHOLE, Recipe, Slice
-from rfpp.shards.unfinished import KeptJob, SampleFolder, UnfinishedShard
 from rfpp.shards.writer import write_json
 
 

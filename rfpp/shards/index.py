@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from rfpp.errors import ShardError
-from rfpp.scene.files import is_plain_name
+from rfpp.files import is_plain_name
 from rfpp.shards import tar
 
 #: What to run when something is missing or damaged.

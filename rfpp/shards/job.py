@@ -12,15 +12,15 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 
 from rfpp.errors import SceneError, UserError
+from rfpp.files import is_plain_name
 from rfpp.reference.cycles import CyclesSettings
-from rfpp.scene.files import is_plain_name
 from rfpp.scene.packed import poses
 from rfpp.scene.spec import Camera, Scene
 from rfpp.scene.triangles import SceneTriangles
 from rfpp.shards import tar
 from rfpp.shards.acceptance import EMPTY, UNLIT, Acceptance
 from rfpp.shards.sample import SceneSample, encode
-from rfpp.shards.stage import Stage
+from rfpp.shards.scene_rays import Stage
 
 #: Part of every seed: never renumber. `train_newviews` shows training scenes to other cameras.
 SPLIT_CODES = {"train": 0, "train_newviews": 1, "test": 2, "validation": 3}

@@ -15,9 +15,9 @@ from torch.utils.data import Dataset
 from rfpp.errors import ShardError
 from rfpp.gbuffer.first_hit import CHANNELS
 from rfpp.shards.cache import ShardCache
+from rfpp.shards.dataset import ShardSplit
 from rfpp.shards.manifest import Manifest
 from rfpp.shards.sample import SceneSample, ViewChoice
-from rfpp.shards.stream import ShardSplit
 
 Root = str | Path
 

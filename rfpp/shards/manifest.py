@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from rfpp.errors import ShardError
-from rfpp.scene.files import is_plain_name
+from rfpp.files import is_plain_name
 from rfpp.shards.cache import ShardCache
 from rfpp.shards.index import REMEDY, ListedShard, SampleEntry, ShardIndex
 from rfpp.shards.sample import SCHEMA_VERSION

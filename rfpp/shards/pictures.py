@@ -9,15 +9,15 @@ from typing import SupportsFloat
 import numpy as np
 from jaxtyping import UInt8
 
-from rfpp import panels
 from rfpp.gbuffer.direct_light import direct_radiance
 from rfpp.gbuffer.first_hit import DirectLight, GBuffer, camera_caster, channel, first_hit, object_ids
 from rfpp.gbuffer.raycast import RayCaster
+from rfpp.imaging import panels
 from rfpp.scene.packed import PackedScene, pack
 from rfpp.scene.spec import Scene
 from rfpp.scene.triangles import SceneTriangles
 from rfpp.shards.sample import SceneSample
-from rfpp.shards.stage import Stage
+from rfpp.shards.scene_rays import Stage
 
 #: Light from everywhere that stands in for all bounces after the first on contact sheets.
 _AMBIENT = 0.08

@@ -98,7 +98,7 @@ class Recipe:
             groups: JSON-able account of family and reference.
             render: with the signature of `rfpp.reference.cycles.render`.
         """
-        settings = {"schema_version": SCHEMA_VERSION, "data": data.content(), **groups}
+        settings = _as_begun(Path(data.root), {"schema_version": SCHEMA_VERSION, "data": data.content(), **groups})
         job = SceneJob(family, reference, data, fingerprint_of(settings), render)
         return cls(data.name, Path(data.root), data.splits, data.views, data.scenes_per_shard, settings, job)
 
@@ -138,7 +138,7 @@ class Recipe:
             return
         except (OSError, ValueError) as error:
             raise ShardError(f"{path}: unreadable ({error}): delete the folder or choose another data.name") from error
-        if changed := sorted(_differences(stored, settings)):
+        if changed := sorted(_differences(_without_modules(stored), _without_modules(settings))):
             others = f", and {len(changed) - 1} more" * (len(changed) > 1)
             raise other_settings(self.root, f"{changed[0]} differs{others}")
 
@@ -152,6 +152,30 @@ class Recipe:
 def fingerprint_of(settings: Mapping[str, Any]) -> str:
     """A hash of JSON-able settings."""
     return hashlib.sha256(to_json(settings)).hexdigest()
+
+
+def _as_begun(root: Path, settings: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The settings that a data set was begun with, where these mean the same; else these, classes by their names alone.
+
+    Where a class lies is not what it does: a data set outlives that its code is moved.
+    """
+    named = _without_modules(json.loads(to_json(settings)))
+    try:
+        stored = json.loads((root / _SETTINGS_FILE).read_bytes())
+    except (OSError, ValueError):  # none yet; what is unreadable is said by `require_same_settings`
+        return named
+    return stored if _without_modules(stored) == named else named
+
+
+def _without_modules(settings: Any) -> Any:
+    if isinstance(settings, list):
+        return [_without_modules(item) for item in settings]
+    if not isinstance(settings, dict):
+        return settings
+    return {
+        key: value.rpartition(".")[2] if key == "_target_" and isinstance(value, str) else _without_modules(value)
+        for key, value in settings.items()
+    }
 
 
 def other_settings(root: Path, why: str) -> ShardError:

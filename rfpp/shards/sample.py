@@ -17,7 +17,6 @@ from safetensors.numpy import load as load_arrays
 from safetensors.numpy import save as save_arrays
 
 from rfpp.errors import ShardError
-from rfpp.exr import HALF_MAX, ImageFileError, decode_exr, encode_exr
 from rfpp.gbuffer.cells import Cells, parts
 from rfpp.gbuffer.first_hit import (
     CELL_CHANNELS,
@@ -31,6 +30,7 @@ from rfpp.gbuffer.first_hit import (
     Reflection,
     SeenCells,
 )
+from rfpp.imaging.exr import HALF_MAX, ImageFileError, decode_exr, encode_exr
 from rfpp.scene.triangles import SceneTriangles
 from rfpp.shards.whole import CELL_ENDS, require_whole_cells, require_whole_scene, require_whole_views
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from rfpp.shards.checkpointed_shard import UnfinishedShard
 from rfpp.shards.manifest import MANIFEST_FILE
 from rfpp.shards.recipe import Recipe
-from rfpp.shards.unfinished import UnfinishedShard
 
 
 @dataclass(frozen=True)

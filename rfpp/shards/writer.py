@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from rfpp.errors import UserError
-from rfpp.scene.files import write_atomically
+from rfpp.files import write_atomically
 from rfpp.shards.index import SampleEntry, ShardIndex, index_file, to_json
 from rfpp.shards.tar import END_OF_ARCHIVE
 

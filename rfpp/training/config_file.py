@@ -6,7 +6,7 @@ from pathlib import Path
 
 from omegaconf import DictConfig, OmegaConf
 
-from rfpp.scene.files import write_atomically
+from rfpp.files import write_atomically
 
 
 def write_config(cfg: DictConfig, folder: Path, name: str = "config.yaml") -> Path:

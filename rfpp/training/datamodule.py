@@ -13,14 +13,15 @@ from torch.utils.data import DataLoader
 from rfpp.batch import RaggedBatch
 from rfpp.errors import ShardError, UserError
 from rfpp.shards.cache import ShardCache
+from rfpp.shards.dataset import ShardSplit
 from rfpp.shards.joined import JoinedManifest, JoinedSplit, Root, open_manifest, open_split
 from rfpp.shards.manifest import Manifest
 from rfpp.shards.order import ShuffledOrder, leading
-from rfpp.shards.stream import ShardSplit
+from rfpp.shards.views import AllViews
 from rfpp.training.dealing import Dealing
 from rfpp.training.loader import SceneLoader, SkippingCorrupt, pack_readable
 from rfpp.training.parentage import end_with_parent
-from rfpp.training.views import AllViews, ColourPermutation, GlobalBatches, RigidAugmentation, TrainingViews
+from rfpp.training.views import ColourPermutation, GlobalBatches, RigidAugmentation, TrainingViews
 
 
 class SceneDataModule(L.LightningDataModule):

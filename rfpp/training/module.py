@@ -13,13 +13,13 @@ from torch.optim import Optimizer
 from torch.optim.lr_scheduler import LRScheduler
 
 from rfpp.batch import RaggedBatch
+from rfpp.checkpoint.loading import CHECKPOINT_KEY, CheckpointInfo
 from rfpp.errors import UserError
-from rfpp.inference.checkpoint import CHECKPOINT_KEY, CheckpointInfo
+from rfpp.imaging.radiance import log_decode
 from rfpp.losses.rendering import RenderingLoss
 from rfpp.metrics.image import ImageMetrics
 from rfpp.model.block import CrossAttention, SelfAttention, SwiGLU
 from rfpp.model.renderformer_pp import Rendering
-from rfpp.radiance import log_decode
 
 
 class RenderingModule(L.LightningModule):

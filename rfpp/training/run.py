@@ -14,7 +14,7 @@ from lightning.pytorch.plugins.environments import SLURMEnvironment
 from omegaconf import DictConfig
 from torch import nn
 
-from rfpp.training.checkpoints import AtomicCheckpointIO
+from rfpp.training.checkpoint_files import AtomicCheckpointIO
 from rfpp.training.datamodule import SceneDataModule
 from rfpp.training.tracking.run_logger import RunLogger
 

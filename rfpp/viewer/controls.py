@@ -13,17 +13,18 @@ import viser
 from PIL import Image
 
 from rfpp.errors import UserError
-from rfpp.scene.files import as_file_name
+from rfpp.files import as_file_name
+from rfpp.imaging.tone_maps import ToneMap
+from rfpp.scene.io.saving import save_scene
 from rfpp.scene.packed import PackedScene, pack
 from rfpp.scene.spec import Camera, Scene, SceneObject
-from rfpp.tone_maps import ToneMap
 from rfpp.viewer.comparison import COMPARISONS
 from rfpp.viewer.edits import moved, power, quaternion, remade, replaced, shining, tint, turned
+from rfpp.viewer.layers import Shown
 from rfpp.viewer.picked_colour import from_picker, to_picker
 from rfpp.viewer.received import choice, colour, number, vector
 from rfpp.viewer.reference import PathTracer, Reference
 from rfpp.viewer.session import Drawn, Session
-from rfpp.viewer.shown import Shown
 from rfpp.viewer.window import camera_of
 
 #: Name → how it is made for `stops` of exposure.
@@ -226,10 +227,10 @@ def scene_file(scene: Scene | PackedScene, camera: Camera) -> tuple[str, bytes]:
     with tempfile.TemporaryDirectory() as folder:
         varies = isinstance(scene, PackedScene) or any(item.face_material is not None for item in scene.objects)
         if varies:  # which JSON cannot say
-            from rfpp.scene.h5 import save_h5  # late: its library is an extra
+            from rfpp.scene.io.renderformer_h5 import save_h5  # late: its library is an extra
 
             return f"{stem}.h5", save_h5(pack(scene).seen_by([camera]), Path(folder) / "scene.h5").read_bytes()
-        Scene(name=scene.name, objects=scene.objects, cameras=(camera,)).save(Path(folder) / f"{stem}.json")
+        save_scene(Scene(name=scene.name, objects=scene.objects, cameras=(camera,)), Path(folder) / f"{stem}.json")
         stream = io.BytesIO()
         with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
             for file in sorted(path for path in Path(folder).rglob("*") if path.is_file()):

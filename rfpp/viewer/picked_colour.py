@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import torch
 
-from rfpp.radiance import srgb, to_8bit
+from rfpp.imaging.radiance import srgb, to_8bit
 from rfpp.scene.spec import Vector
 
 

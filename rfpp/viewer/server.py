@@ -17,9 +17,9 @@ from rfpp.scene.packed import PackedScene
 from rfpp.scene.spec import Camera, Scene
 from rfpp.viewer.controls import ObjectControls, ToneMaps, add_reference, add_saving, add_view
 from rfpp.viewer.guard import guarded
+from rfpp.viewer.layers import everything
 from rfpp.viewer.reference import PathTracer
 from rfpp.viewer.session import Drawn, Session, View
-from rfpp.viewer.shown import everything
 from rfpp.viewer.window import aspect_of, camera_of, cameras_of, stand_at
 
 #: Visitors turn about this point, the middle of every scene.

@@ -11,14 +11,14 @@ import numpy as np
 from jaxtyping import UInt8
 
 from rfpp.errors import UserError
+from rfpp.imaging.tone_maps import ToneMap
 from rfpp.inference.renderer import Renderer
 from rfpp.scene.packed import PackedScene, pack
 from rfpp.scene.spec import Camera, Scene
-from rfpp.tone_maps import ToneMap
 from rfpp.viewer.comparison import Comparison, enlarged
+from rfpp.viewer.layers import Shown
 from rfpp.viewer.pacing import Pacing
 from rfpp.viewer.reference import Reference
-from rfpp.viewer.shown import Shown
 
 Picture = UInt8[np.ndarray, "h w 3"]
 

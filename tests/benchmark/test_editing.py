@@ -10,7 +10,7 @@ from rfpp.benchmark import large_scene
 from rfpp.benchmark.editing import EDITS, measure
 from rfpp.benchmark.memory import peak_resident
 from rfpp.benchmark.spheres import sphere, spheres
-from rfpp.entry import CONFIG_DIR
+from rfpp.commands import CONFIG_DIR
 from rfpp.errors import UserError
 from rfpp.scene.packed import pack
 

@@ -16,6 +16,7 @@ from rfpp.benchmark.equal_time_plot import main, plot
 from rfpp.benchmark.exhibits import Stored
 from rfpp.errors import UserError
 from rfpp.inference.renderer import Renderer
+from rfpp.scene.io.saving import save_scene
 from rfpp.scene.packed import pack
 from rfpp.scene.triangles import EMISSION
 
@@ -44,7 +45,7 @@ def test_one_light_is_dimmed_and_nothing_else():
 @requires_blender
 def test_a_row_for_each_scene_and_method_and_references_are_rendered_once(tmp_path, monkeypatch):
     Renderer(network(), checkpoint_info()).save(tmp_path / "net")
-    path = scene().save(tmp_path / "six.json")
+    path = save_scene(scene(), tmp_path / "six.json")
     turns = []
 
     def rows():

@@ -13,11 +13,12 @@ from rfpp.benchmark.gallery import measure
 from rfpp.errors import UserError
 from rfpp.inference.renderer import Renderer
 from rfpp.reference.cycles import CyclesSettings
+from rfpp.scene.io.saving import save_scene
 
 
 @pytest.fixture
 def stored(tmp_path):
-    return scene().save(tmp_path / "six.json")
+    return save_scene(scene(), tmp_path / "six.json")
 
 
 def test_exhibits_are_seen_by_one_camera_and_may_be_moved(stored):

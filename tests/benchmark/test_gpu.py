@@ -8,7 +8,7 @@ from hydra import compose, initialize_config_dir
 
 from launch.benchmark import main
 from rfpp.benchmark.gpu import measurements
-from rfpp.entry import CONFIG_DIR
+from rfpp.commands import CONFIG_DIR
 from rfpp.training.flops import published_peak
 
 SMALL = (
@@ -63,7 +63,7 @@ def test_memory_that_is_not_there_is_a_row(tmp_path, monkeypatch):
     def greedy(*_):
         raise torch.OutOfMemoryError
 
-    monkeypatch.setattr("rfpp.benchmark.cost_tasks.TrainingStep.prepared", greedy)
+    monkeypatch.setattr("rfpp.benchmark.cost.tasks.TrainingStep.prepared", greedy)
     output = tmp_path / "gpu.csv"
     main.__wrapped__(config(output, "benchmark.groups=[{task: training_step, network: rfpp}]"))
     (row,) = csv.DictReader(output.open())

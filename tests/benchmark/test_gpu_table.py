@@ -4,10 +4,10 @@ import csv
 
 import pytest
 
-from rfpp.benchmark.cost_rows import read_rows
+from rfpp.benchmark.cost.rows import read_rows
 from rfpp.benchmark.gpu import NEEDED
 from rfpp.benchmark.gpu_table import BEGIN, END, insert, main, table
-from rfpp.entry import CONFIG_DIR
+from rfpp.commands import CONFIG_DIR
 from rfpp.errors import UserError
 
 ROOT = CONFIG_DIR.parent

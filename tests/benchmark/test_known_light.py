@@ -3,7 +3,7 @@
 from hydra import compose, initialize_config_dir
 from hydra.utils import instantiate
 
-from rfpp.entry import CONFIG_DIR
+from rfpp.commands import CONFIG_DIR
 
 
 def test_a_row_for_every_value_and_less_error_with_more_samples():

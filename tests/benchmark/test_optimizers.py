@@ -9,7 +9,7 @@ from networks import SMALLEST
 from small_data import make
 
 from launch.benchmark import main
-from rfpp.entry import CONFIG_DIR
+from rfpp.commands import CONFIG_DIR
 
 
 @pytest.fixture(scope="module")

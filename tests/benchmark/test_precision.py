@@ -5,7 +5,7 @@ from networks import checkpoint_info, model_config, network
 from small_data import make
 
 from rfpp.benchmark.precision import measure
-from rfpp.inference.checkpoint import CHECKPOINT_KEY
+from rfpp.checkpoint.loading import CHECKPOINT_KEY
 
 
 def test_each_precision_is_compared_with_float32(tmp_path):

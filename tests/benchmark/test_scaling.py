@@ -5,7 +5,7 @@ from hydra import compose, initialize_config_dir
 from networks import SMALLEST
 
 from launch.benchmark import main
-from rfpp.entry import CONFIG_DIR
+from rfpp.commands import CONFIG_DIR
 
 
 def test_the_model_is_checked_here_and_asked_about_clusters(tmp_path):

@@ -12,8 +12,8 @@ from rfpp.reference.farm import RenderFarm
 from rfpp.scene.camera import camera_to_world
 from rfpp.scene.triangles import SceneTriangles
 from rfpp.shards.cache import ShardCache
+from rfpp.shards.dataset import ShardSplit
 from rfpp.shards.manifest import Manifest
-from rfpp.shards.stream import ShardSplit
 from rfpp.training.datamodule import SceneDataModule
 from rfpp.training.dealing import InOrder
 

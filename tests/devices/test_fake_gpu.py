@@ -11,7 +11,7 @@ from network_variants import PAPER, VARIANTS, batch_for, loss
 from rfpp.batch import RaggedBatch
 from rfpp.losses.transport_consistency import TransportConsistency
 from rfpp.model import attention
-from rfpp.model.exposure import ArrivingLight
+from rfpp.model.exposure import MeanIrradianceExposure
 from rfpp.model.ray_windows import ShiftedWindows
 from rfpp.model.view_decoder import SeenTokens
 from rfpp.segments import on_device
@@ -121,7 +121,7 @@ def test_what_needs_a_value_or_mixes_devices_fails(fault, monkeypatch):
     with fake_gpu():
         net = network_on(GPU, *VARIANTS["known_light"])
         batch = batch_for(net).to(GPU)
-        monkeypatch.setattr(ArrivingLight, "__call__", lambda _, b: fault(b))
+        monkeypatch.setattr(MeanIrradianceExposure, "__call__", lambda _, b: fault(b))
         with pytest.raises(Exception, match=r"(?i)local_scalar_dense|nonzero|repeat_interleave|device"):
             net(batch)
 
@@ -152,4 +152,4 @@ def test_tokens_that_cameras_see_are_listed_scene_by_scene_and_view_by_view():
 def test_light_arrives_from_every_emitter():
     batch = batch_for(network_on("cpu", *PAPER))
     fewer = replace(batch, emitters=batch.emitters[:1])
-    assert not torch.equal(ArrivingLight()(fewer), ArrivingLight()(batch))
+    assert not torch.equal(MeanIrradianceExposure()(fewer), MeanIrradianceExposure()(batch))

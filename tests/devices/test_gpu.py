@@ -15,7 +15,7 @@ from network_variants import VARIANTS, batch_for, loss
 from small_data import make
 from training_runs import finish, start, train, wait_for_step
 
-from rfpp import Renderer, Scene
+from rfpp import Renderer
 from rfpp.model.attention import (
     DENSE_FROM,
     AttentionPattern,
@@ -24,6 +24,7 @@ from rfpp.model.attention import (
     attend_loop,
     attend_varlen,
 )
+from rfpp.scene.io.loading import load_scene
 from rfpp.segments import Segments
 from rfpp.training.blocks import RecomputedBlocks, RecomputedObjects
 
@@ -132,7 +133,7 @@ def test_a_training_step_never_waits_for_the_gpu(variant, policy):
 @requires_gpu
 @pytest.mark.parametrize("scene", ["cornell_box", "roughness_spheres"])
 def test_images_are_those_of_the_cpu(scene):
-    scene = Scene.load(f"data/scenes/{scene}.json")
+    scene = load_scene(f"data/scenes/{scene}.json")
     images = {}
     for device, precision in (("cpu", "fp32"), ("cuda", "fp32"), ("cuda", "bf16")):
         with exact_products():

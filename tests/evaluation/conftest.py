@@ -10,20 +10,20 @@ from browser import _chromium, browser  # noqa: F401
 from known_scenes import look_at, still_life
 from torch import nn
 
-from rfpp.evaluation.buckets import bucketed
-from rfpp.evaluation.confidence import Bootstrap, Estimate, split_estimates
-from rfpp.evaluation.csv_files import write_buckets, write_records
-from rfpp.evaluation.evaluation_file import Evaluation
-from rfpp.evaluation.paper import PAPER_METRICS
-from rfpp.evaluation.pictures import write_pictures
-from rfpp.evaluation.records import ImageRecord, SceneRecord, scene_records
+from rfpp.evaluation.measuring.buckets import bucketed
+from rfpp.evaluation.measuring.confidence import Bootstrap, Estimate, split_estimates
+from rfpp.evaluation.measuring.csv_files import write_buckets, write_records
+from rfpp.evaluation.measuring.evaluation_file import Evaluation
+from rfpp.evaluation.measuring.records import ImageRecord, SceneRecord, scene_records
+from rfpp.evaluation.report.pictures import write_pictures
+from rfpp.evaluation.tables.paper import PAPER_METRICS
 from rfpp.gbuffer.first_hit import stack_channels
+from rfpp.imaging.radiance import log_encode
 from rfpp.metrics.image import METRICS
 from rfpp.model.renderformer_pp import Rendering
-from rfpp.radiance import log_encode
 from rfpp.shards.manifest import MANIFEST_FILE, manifest_json
 from rfpp.shards.sample import SceneSample, encode
-from rfpp.shards.stage import Stage
+from rfpp.shards.scene_rays import Stage
 from rfpp.shards.tar import pack
 from rfpp.shards.writer import ShardWriter, write_json
 

@@ -6,8 +6,8 @@ import torch
 from edited_scenes import scene
 from networks import checkpoint_info, network
 
+from rfpp.checkpoint.loading import CHECKPOINT_KEY, NETWORK_PREFIX
 from rfpp.evaluation.publish import main, publish
-from rfpp.inference.checkpoint import CHECKPOINT_KEY, NETWORK_PREFIX
 from rfpp.inference.renderer import Renderer
 
 

@@ -14,8 +14,8 @@ from networks import checkpoint_info, network
 from safetensors.torch import save
 from torch import nn
 
+from rfpp.checkpoint.loading import CHECKPOINT_KEY, NETWORK_PREFIX, load_network
 from rfpp.errors import CheckpointError
-from rfpp.inference.checkpoint import CHECKPOINT_KEY, NETWORK_PREFIX, load_network
 
 pytestmark = pytest.mark.timeout(36_000)  # of thousands
 

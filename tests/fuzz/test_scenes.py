@@ -18,6 +18,8 @@ from PIL import Image
 
 from rfpp import Renderer, Scene
 from rfpp.errors import SceneError, UserError
+from rfpp.scene.io.loading import load_scene
+from rfpp.scene.io.saving import save_scene
 from rfpp.scene.packed import PackedScene, pack
 from rfpp.scene.spec import Camera, Material, SceneObject
 
@@ -61,7 +63,7 @@ def _loaded(path: Path) -> tuple[PackedScene | None, str]:
         warnings.filterwarnings("error", category=RuntimeWarning)  # arithmetic on numbers that should have been refused
         warnings.filterwarnings("ignore", category=UserWarning)
         try:
-            return pack(Scene.load(path)), ""
+            return pack(load_scene(path)), ""
         except SceneError as error:
             return None, str(error)
 
@@ -214,9 +216,9 @@ def test_damaged_renderformer_json(folder: Path, content: bytes) -> None:
 
 def h5_bytes(folder: Path) -> bytes:
     camera = Camera(position=(0, -2, 0), look_at=(0, 0, 0), fov=40)
-    mesh = Scene.load(EXAMPLES / "cornell_box.json").objects[0].mesh
+    mesh = load_scene(EXAMPLES / "cornell_box.json").objects[0].mesh
     scene = Scene(objects=(SceneObject(name="a", mesh=mesh, material=MATERIAL),), cameras=(camera,))
-    return scene.save(folder / "whole.h5").read_bytes()
+    return save_scene(scene, folder / "whole.h5").read_bytes()
 
 
 @fuzzed
@@ -230,7 +232,7 @@ def test_damaged_h5(folder: Path, data: st.DataObject) -> None:
 @given(st.sampled_from([".glb", ".gltf", ".obj", ".ply", ".stl", ".json", ".h5"]), st.binary(max_size=300))
 def test_bytes_that_mean_nothing(folder: Path, suffix: str, content: bytes) -> None:
     with pytest.raises(UserError):
-        pack(Scene.load(_written(folder / f"noise{suffix}", content)))
+        pack(load_scene(_written(folder / f"noise{suffix}", content)))
 
 
 def _written(path: Path, content: bytes) -> Path:

@@ -17,10 +17,10 @@ from safetensors.numpy import save as save_arrays
 from stored_sample import stored_sample
 
 from rfpp.errors import ShardError
+from rfpp.shards.dataset import ShardSplit
 from rfpp.shards.index import SampleEntry, Shard, ShardIndex
 from rfpp.shards.manifest import MANIFEST_FILE, Manifest
 from rfpp.shards.sample import SceneSample, decode, encode
-from rfpp.shards.stream import ShardSplit
 from rfpp.shards.tar import pack
 
 pytestmark = pytest.mark.timeout(36_000)  # of thousands

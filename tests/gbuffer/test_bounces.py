@@ -6,9 +6,9 @@ from known_scenes import box, look_at, material, pack, sphere, square
 from marks import requires_blender
 
 from rfpp.batch import RaggedBatch, SceneViews
+from rfpp.imaging.radiance import log_decode
 from rfpp.inference.gbuffers import GBufferSource
 from rfpp.model.radiosity import UnlearnedRadiosity
-from rfpp.radiance import log_decode
 from rfpp.reference.cycles import CyclesSettings, render
 from rfpp.scene.packed import PackedScene
 from rfpp.scene.triangles import SceneTriangles

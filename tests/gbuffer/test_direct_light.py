@@ -16,7 +16,7 @@ from rfpp.gbuffer.light_sampler import LightSampler
 from rfpp.gbuffer.polygon_light import form_factor
 from rfpp.reference.cycles import CyclesSettings, render_passes
 from rfpp.scene.camera import camera_to_world
-from rfpp.scene.spec import Scene
+from rfpp.scene.io.loading import load_scene
 from rfpp.scene.triangles import EMISSION, SceneTriangles
 
 ROOT = Path(__file__).parents[2]
@@ -169,7 +169,7 @@ def test_agrees_with_cycles_direct_passes(in_process, name):
         scene, pose, fov = still_life(), POSE, 40.0
     else:
         stored = ROOT / "data" / "scenes" / f"{name}.json"
-        described = draw(family("large_scale"), 1, 2) if name == "drawn" else Scene.load(stored)
+        described = draw(family("large_scale"), 1, 2) if name == "drawn" else load_scene(stored)
         scene, camera = SceneTriangles.from_scene(described), described.cameras[0]
         pose, fov = camera_to_world(camera), float(camera.fov)
     quick = yaml.safe_load((ROOT / "conf" / "reference" / "preview.yaml").read_text())

@@ -14,7 +14,7 @@ from rfpp.gbuffer.light_sampler import LightSampler
 from rfpp.gbuffer.reflection import with_reflection
 from rfpp.reference.cycles import CyclesSettings, render_passes
 from rfpp.scene.camera import camera_to_world
-from rfpp.scene.spec import Scene
+from rfpp.scene.io.loading import load_scene
 from rfpp.scene.triangles import SceneTriangles
 
 ROOT = Path(__file__).parents[2]
@@ -98,7 +98,7 @@ def test_agrees_with_the_first_of_cycles_indirect_bounces(in_process, name):
     if name == "mirror":
         scene, pose, fov = pack((square(4), material(0.1, specular=0.8, roughness=0.2)), *THINGS, LAMP), POSE, 40.0
     else:
-        described = Scene.load(ROOT / "data" / "scenes" / f"{name}.json")
+        described = load_scene(ROOT / "data" / "scenes" / f"{name}.json")
         scene, camera = SceneTriangles.from_scene(described), described.cameras[0]
         pose, fov = camera_to_world(camera), float(camera.fov)
     quick = yaml.safe_load((ROOT / "conf" / "reference" / "preview.yaml").read_text())

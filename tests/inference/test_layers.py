@@ -8,11 +8,11 @@ import pytest
 from known_scenes import look_at, still_life
 
 from rfpp.errors import UserError
-from rfpp.exr import read_exr
 from rfpp.gbuffer.first_hit import CELL_CHANNELS, CHANNELS, channel, first_hit, stack_channels
+from rfpp.imaging.exr import read_exr
+from rfpp.imaging.tone_maps import SRGB
 from rfpp.inference.layers import checked_layers, exr_layers
 from rfpp.inference.stills import write_still
-from rfpp.tone_maps import SRGB
 
 NAMES = ("normal", "depth", "albedo", "roughness", "position")
 

@@ -12,14 +12,14 @@ import numpy as np
 import pytest
 import torch
 
-from rfpp.exr import read_exr
+from rfpp.checkpoint.shipped import shipped
 from rfpp.gbuffer.first_hit import CHANNELS
+from rfpp.imaging.exr import read_exr
 from rfpp.inference.gbuffers import GBufferSource
 from rfpp.inference.renderer import Renderer
-from rfpp.inference.shipped import shipped
 from rfpp.metrics.image import log_l1
+from rfpp.scene.io.loading import load_scene
 from rfpp.scene.packed import PackedScene, pack
-from rfpp.scene.spec import Scene
 
 PICTURES = Path(__file__).parent / "rfpp_tiny"
 SCENES = Path(__file__).parents[2] / "data" / "scenes"
@@ -32,7 +32,7 @@ def renderer() -> Renderer:
 
 
 def view_of(name: str) -> PackedScene:
-    return pack(Scene.load(SCENES / f"{name}.json")).views([0])
+    return pack(load_scene(SCENES / f"{name}.json")).views([0])
 
 
 def stored(name: str) -> np.ndarray:

@@ -6,7 +6,7 @@ import pytest
 from hydra import compose, initialize_config_dir
 from omegaconf import DictConfig
 
-from rfpp.entry import CONFIG_DIR
+from rfpp.commands import CONFIG_DIR
 
 
 @pytest.fixture(scope="session")

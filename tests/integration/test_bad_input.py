@@ -14,8 +14,9 @@ from mlflow.exceptions import MlflowException
 from networks import checkpoint_info, network
 from small_data import make
 
-from rfpp.entry import CONFIG_DIR
-from rfpp.inference.checkpoint import CHECKPOINT_KEY, NETWORK_PREFIX
+from rfpp.checkpoint.loading import CHECKPOINT_KEY, NETWORK_PREFIX
+from rfpp.commands import CONFIG_DIR
+from rfpp.scene.io.loading import load_scene
 
 REPOSITORY = CONFIG_DIR.parent
 CORNELL_BOX = REPOSITORY / "data" / "scenes" / "cornell_box.json"
@@ -94,12 +95,11 @@ def test_a_bad_scene(damage, named, box, tmp_path, composed, refused):
 
 
 def test_too_much_reflectance_is_a_warning_that_names_the_object(box, tmp_path):
-    from rfpp import Scene
 
     box["objects"]["floor"]["material"].update(diffuse=[0.6] * 3, specular=[0.5] * 3)
     (tmp_path / "scene.json").write_text(json.dumps(box))
     with pytest.warns(UserWarning, match="'floor'.*1.1"):
-        Scene.load(tmp_path / "scene.json")
+        load_scene(tmp_path / "scene.json")
 
 
 @pytest.fixture(scope="module")

@@ -7,8 +7,8 @@ from hydra.utils import instantiate
 from omegaconf import OmegaConf
 from small_data import make
 
-from rfpp.entry import CONFIG_DIR
-from rfpp.evaluation.paper import TABLE_1, TABLE_2
+from rfpp.commands import CONFIG_DIR
+from rfpp.evaluation.tables.paper import TABLE_1, TABLE_2
 
 ALL = {path.stem: path.read_text() for path in sorted((CONFIG_DIR / "experiment").glob("*.yaml"))}
 #: Those that bring their data, and those that change the network of another.
@@ -115,7 +115,7 @@ def test_training_twice_gives_the_same_losses(composed, data, tmp_path):
     from mlflow.tracking import MlflowClient
 
     from launch.train import main
-    from rfpp.inference.checkpoint import load_network
+    from rfpp.checkpoint.loading import load_network
 
     def losses(name: str) -> list[float]:
         cfg = composed(
@@ -136,7 +136,7 @@ def test_a_run_of_the_ablation_ends_with_a_checkpoint_a_panel_and_its_parent(com
     from mlflow.tracking import MlflowClient
 
     from launch.train import main
-    from rfpp.inference.checkpoint import load_network
+    from rfpp.checkpoint.loading import load_network
 
     children = []
     for seed in (0, 1):

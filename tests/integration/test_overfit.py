@@ -11,9 +11,9 @@ from rfpp.metrics.image import ImageMetrics
 @pytest.mark.timeout(900)
 def test_one_scene_is_learned_by_heart(composed, rendered_data, tmp_path):
     from launch.train import main
-    from rfpp.evaluation.evaluate import render_stored
-    from rfpp.inference.checkpoint import load_network
-    from rfpp.shards.stream import ShardSplit
+    from rfpp.checkpoint.loading import load_network
+    from rfpp.evaluation.measuring.evaluate import render_stored
+    from rfpp.shards.dataset import ShardSplit
 
     cfg = composed(
         "train", "+experiment=quickstart", "+debug=overfit", f"data.root={rendered_data}", "datamodule.workers=0",

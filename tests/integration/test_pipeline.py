@@ -9,10 +9,11 @@ import torch
 from marks import requires_blender
 from mlflow.tracking import MlflowClient
 
-from rfpp import Renderer, Scene
-from rfpp.entry import CONFIG_DIR
-from rfpp.exr import read_exr
-from rfpp.inference.checkpoint import load_network
+from rfpp import Renderer
+from rfpp.checkpoint.loading import load_network
+from rfpp.commands import CONFIG_DIR
+from rfpp.imaging.exr import read_exr
+from rfpp.scene.io.loading import load_scene
 
 pytestmark = requires_blender
 
@@ -104,7 +105,7 @@ def test_render_writes_exr_png_reference_and_comparison(trained, composed, tmp_p
     reference = read_exr(tmp_path / "box_reference.exr")["RGB"]
     assert image.shape == reference.shape == (32, 48, 3)
     assert reference.mean() > 0.02
-    same = Renderer.load(trained[0], "cpu").render(Scene.load(CORNELL_BOX), (32, 48))[1]
+    same = Renderer.load(trained[0], "cpu").render(load_scene(CORNELL_BOX), (32, 48))[1]
     np.testing.assert_allclose(image, same, rtol=2e-3, atol=1e-4)
 
 

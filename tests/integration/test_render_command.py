@@ -11,10 +11,12 @@ from marks import requires_blender
 from networks import checkpoint_info, network
 from PIL import Image
 
-from rfpp import Renderer, Scene
-from rfpp.entry import CONFIG_DIR
-from rfpp.exr import read_exr
-from rfpp.inference.checkpoint import CHECKPOINT_KEY, NETWORK_PREFIX
+from rfpp import Renderer
+from rfpp.checkpoint.loading import CHECKPOINT_KEY, NETWORK_PREFIX
+from rfpp.commands import CONFIG_DIR
+from rfpp.imaging.exr import read_exr
+from rfpp.scene.io.loading import load_scene
+from rfpp.scene.io.saving import save_scene
 
 BOX = CONFIG_DIR.parent / "data" / "scenes" / "cornell_box.json"
 
@@ -61,14 +63,14 @@ def refused(render, capsys):
 
 
 def test_several_scenes_with_layers_and_a_tone_map(render, tmp_path):
-    other = scene().save(tmp_path / "six.json")
+    other = save_scene(scene(), tmp_path / "six.json")
     files, said = render(
         f"scene=[{BOX},{other}]", "cameras=[0,1]", "layers=[normal,depth,direct_diffuse]", "tone_map=agx", "exposure=1"
     )
     assert [file.name for file in files] == ["cornell_box_0.exr", "cornell_box_1.exr", "six_0.exr", "six_1.exr"]
     assert "six: 2 views of 16 x 16 in" in said
-    expected = Renderer(network(), checkpoint_info()).render(Scene.load(other), (16, 16))
-    from rfpp.tone_maps import AgX
+    expected = Renderer(network(), checkpoint_info()).render(load_scene(other), (16, 16))
+    from rfpp.imaging.tone_maps import AgX
 
     for file, image in zip(files[2:], expected[:2], strict=True):
         layers = read_exr(file)
@@ -80,7 +82,7 @@ def test_several_scenes_with_layers_and_a_tone_map(render, tmp_path):
 
 def test_lights_apart_are_layers_that_add_up(render, tmp_path):
     [file], _ = render(
-        f"scene={scene().save(tmp_path / 'six.json')}", "checkpoint=rfpp-tiny", "lights=separate", "cameras=[0]"
+        f"scene={save_scene(scene(), tmp_path / 'six.json')}", "checkpoint=rfpp-tiny", "lights=separate", "cameras=[0]"
     )
     layers = read_exr(file)
     assert layers.keys() == {"RGB", "light_lamp", "light_spot"}
@@ -91,7 +93,7 @@ def test_lights_apart_are_layers_that_add_up(render, tmp_path):
 def test_light_may_be_passed_on_less_often(render):
     as_trained, never = (render(f"scene={BOX}", "cameras=0", f"transports={n}")[0][0] for n in ("null", 0))
     assert as_trained == never  # the same file
-    expected = Renderer(network(), checkpoint_info()).render(Scene.load(BOX), (16, 16), transports=0)[0]
+    expected = Renderer(network(), checkpoint_info()).render(load_scene(BOX), (16, 16), transports=0)[0]
     np.testing.assert_array_equal(read_exr(never)["RGB"], expected.astype(np.float16))
 
 

@@ -9,9 +9,9 @@ from networks import SMALLEST, checkpoint_info
 from omegaconf import OmegaConf
 from small_data import make
 
-from rfpp.entry import CONFIG_DIR
-from rfpp.evaluation.tables import main as write_tables
-from rfpp.inference.checkpoint import CHECKPOINT_KEY, NETWORK_PREFIX
+from rfpp.checkpoint.loading import CHECKPOINT_KEY, NETWORK_PREFIX
+from rfpp.commands import CONFIG_DIR
+from rfpp.evaluation.tables.of_the_paper import main as write_tables
 
 EXPERIMENTS = sorted((CONFIG_DIR / "experiment").glob("*.yaml"))
 VARIANTS = [path.stem for path in EXPERIMENTS if "variant" in OmegaConf.load(path)]

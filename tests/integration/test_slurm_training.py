@@ -10,7 +10,7 @@ from slurm_cluster import free_ports
 from small_data import make
 from training_runs import SETTINGS, differing, train, wait_for_step
 
-from rfpp.training.checkpoints import step_file
+from rfpp.training.checkpoint_files import step_file
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 RUN = ("steps=12", "trainer.val_check_interval=5", "datamodule.workers=1", "+callbacks.skewed._target_=skewed.Skewed")

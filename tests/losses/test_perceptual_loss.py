@@ -3,12 +3,12 @@ import torch
 from random_vgg import random_trunk
 from torch import nn
 
+from rfpp.imaging.radiance import log_decode, log_encode
 from rfpp.losses import perceptual as perceptual_module
 from rfpp.losses.perceptual import PerceptualLoss
 from rfpp.metrics.image import ImageMetrics
 from rfpp.metrics.lpips import LPIPS
 from rfpp.metrics.lpips_weights import linear_weights
-from rfpp.radiance import log_decode, log_encode
 
 
 @pytest.fixture(scope="module")

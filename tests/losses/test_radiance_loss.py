@@ -1,8 +1,8 @@
 import pytest
 import torch
 
+from rfpp.imaging.radiance import log_encode
 from rfpp.losses.radiance import log_l1
-from rfpp.radiance import log_encode
 
 
 def test_is_zero_where_the_prediction_encodes_the_target() -> None:

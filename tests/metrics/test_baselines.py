@@ -1,6 +1,7 @@
 import pytest
 import torch
 
+from rfpp.imaging.radiance import log_encode
 from rfpp.metrics.baselines import (
     CHANNELS,
     AlbedoTimesConstant,
@@ -9,7 +10,6 @@ from rfpp.metrics.baselines import (
     DirectLightReflected,
     MeanImage,
 )
-from rfpp.radiance import log_encode
 
 
 def _only(albedo: torch.Tensor) -> dict[str, torch.Tensor]:

@@ -10,7 +10,7 @@ from random_scenes import random_views
 
 from rfpp.batch import RaggedBatch, SceneViews
 from rfpp.gbuffer.first_hit import DIRECT_CHANNELS
-from rfpp.model.exposure import ArrivingLight, UnitExposure
+from rfpp.model.exposure import MeanIrradianceExposure, UnitExposure
 from rfpp.model.ray_bundle import CameraOrigin
 from rfpp.scene.triangles import EMISSION, SceneTriangles
 from rfpp.training.views import moved
@@ -40,7 +40,7 @@ LIGHT = triangle((0, 0, 2), (0.01, 0, 0), (0, 0.01, 0))  # area 1.5e-4
 
 
 def test_arriving_light_of_a_facing_light_is_radiance_area_over_distance_squared():
-    exposure = ArrivingLight()(scene((FLOOR, 0), (LIGHT, 3000)))
+    exposure = MeanIrradianceExposure()(scene((FLOOR, 0), (LIGHT, 3000)))
     torch.testing.assert_close(exposure, torch.tensor([3000 * 1.5e-4 / 2**2]), rtol=3e-3, atol=0)  # small, not points
 
 
@@ -48,36 +48,39 @@ def test_arriving_light_of_a_facing_light_is_radiance_area_over_distance_squared
 def test_a_turned_light_sends_less_by_the_cosine_from_either_side(degrees):
     cos, sin = np.cos(np.deg2rad(degrees)), np.sin(np.deg2rad(degrees))
     turned = triangle((0, 0, 2), (0.01 * cos, 0, 0.01 * sin), (0, 0.01, 0))
-    straight = ArrivingLight()(scene((FLOOR, 0), (LIGHT, 3000)))
+    straight = MeanIrradianceExposure()(scene((FLOOR, 0), (LIGHT, 3000)))
     torch.testing.assert_close(
-        ArrivingLight()(scene((FLOOR, 0), (turned, 3000))), straight * abs(cos), rtol=5e-3, atol=0
+        MeanIrradianceExposure()(scene((FLOOR, 0), (turned, 3000))), straight * abs(cos), rtol=5e-3, atol=0
     )
 
 
 def test_a_light_seen_edge_on_still_reaches_what_lies_beside_its_plane():
     edge_on = triangle((0, 0, 2), (0.01, 0, 0), (0, 0, 0.01))
-    little = ArrivingLight()(scene((FLOOR, 0), (edge_on, 3000)))
-    assert 0 < little < 0.03 * ArrivingLight()(scene((FLOOR, 0), (LIGHT, 3000)))
+    little = MeanIrradianceExposure()(scene((FLOOR, 0), (edge_on, 3000)))
+    assert 0 < little < 0.03 * MeanIrradianceExposure()(scene((FLOOR, 0), (LIGHT, 3000)))
 
 
 def test_lights_add_up_and_objects_count_by_area():
     other = triangle((1, 0, 1.5), (0.01, 0, 0), (0, 0, 0.02))
-    one, two = (ArrivingLight()(scene((FLOOR, 0), light)) for light in ((LIGHT, 3000), (other, 1000)))
-    torch.testing.assert_close(ArrivingLight()(scene((FLOOR, 0), (LIGHT, 3000), (other, 1000))), one + two)
+    one, two = (MeanIrradianceExposure()(scene((FLOOR, 0), light)) for light in ((LIGHT, 3000), (other, 1000)))
+    torch.testing.assert_close(MeanIrradianceExposure()(scene((FLOOR, 0), (LIGHT, 3000), (other, 1000))), one + two)
     wall = triangle((0.5, 0, 0.5), (0, 0.1, 0), (0, 0, 0.2))  # twice the floor's area
-    on_wall = ArrivingLight()(scene((wall, 0), (LIGHT, 3000)))
+    on_wall = MeanIrradianceExposure()(scene((wall, 0), (LIGHT, 3000)))
     torch.testing.assert_close(
-        ArrivingLight()(scene((FLOOR, 0), (wall, 0), (LIGHT, 3000))), (one + 2 * on_wall) / 3, rtol=1e-4, atol=0
+        MeanIrradianceExposure()(scene((FLOOR, 0), (wall, 0), (LIGHT, 3000))),
+        (one + 2 * on_wall) / 3,
+        rtol=1e-4,
+        atol=0,
     )
 
 
 def test_without_light_or_without_surfaces_the_exposure_is_one():
     for objects in ([(FLOOR, 0)], [(LIGHT, 3000)]):
-        assert ArrivingLight()(scene(*objects)).tolist() == [1]
+        assert MeanIrradianceExposure()(scene(*objects)).tolist() == [1]
 
 
 def test_a_light_that_touches_its_object_gives_a_finite_exposure():
-    exposure = ArrivingLight()(scene((FLOOR, 0), (FLOOR, 3000)))
+    exposure = MeanIrradianceExposure()(scene((FLOOR, 0), (FLOOR, 3000)))
     assert torch.isfinite(exposure).all()
     assert (exposure > 0).all()
 
@@ -85,13 +88,13 @@ def test_a_light_that_touches_its_object_gives_a_finite_exposure():
 def test_exposure_of_a_packed_scene_is_its_own_and_a_rigid_motion_does_not_change_it():
     rng = np.random.default_rng(2)
     samples = [random_views(rng, sizes) for sizes in ((9, 4, 1), (3, 1, 2, 1), (30, 1))]
-    together = ArrivingLight()(RaggedBatch.pack(samples))
+    together = MeanIrradianceExposure()(RaggedBatch.pack(samples))
     turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
     for i, sample in enumerate(samples):
-        torch.testing.assert_close(together[i : i + 1], ArrivingLight()(RaggedBatch.pack([sample])))
+        torch.testing.assert_close(together[i : i + 1], MeanIrradianceExposure()(RaggedBatch.pack([sample])))
         elsewhere = moved(sample, turn * np.linalg.det(turn), np.array([0.3, -2.0, 1.0]))
         torch.testing.assert_close(
-            together[i : i + 1], ArrivingLight()(RaggedBatch.pack([elsewhere])), rtol=1e-4, atol=0
+            together[i : i + 1], MeanIrradianceExposure()(RaggedBatch.pack([elsewhere])), rtol=1e-4, atol=0
         )
 
 

@@ -12,9 +12,9 @@ from networks import network
 from random_scenes import random_views
 
 from rfpp.batch import RaggedBatch
-from rfpp.model.film import CentreSample
+from rfpp.imaging.radiance import log_decode
 from rfpp.model.guided_upsampling import GuidedUpsampling
-from rfpp.radiance import log_decode
+from rfpp.model.pixel_filter import CentreSample
 
 
 def plane(height: int, width: int) -> torch.Tensor:

@@ -13,14 +13,14 @@ from stored_sample import stored_sample
 from rfpp.batch import RaggedBatch
 from rfpp.errors import UserError
 from rfpp.gbuffer.first_hit import CHANNELS, LIGHT_CHANNELS
+from rfpp.imaging.radiance import log_decode
 from rfpp.model.bounces import light_after
 from rfpp.model.form_factors import CastFormFactors, UnoccludedFormFactors
 from rfpp.model.linear_transport import HIGHEST_ALBEDO
 from rfpp.model.lit_cells import Reflectance
 from rfpp.model.radiosity import UnlearnedRadiosity
 from rfpp.packed_cells import LIGHT, PackedCells
-from rfpp.radiance import log_decode
-from rfpp.training.views import select_views
+from rfpp.shards.views import select_views
 
 LINEAR = ("+experiment=quickstart",)
 CORRECTED = ("+experiment=quickstart", "model=corrected_light")

@@ -6,9 +6,9 @@ from networks import network
 from random_scenes import random_views
 
 from rfpp.batch import RaggedBatch
-from rfpp.model.film import CentreSample
+from rfpp.imaging.radiance import log_encode
+from rfpp.model.pixel_filter import CentreSample
 from rfpp.model.shading import LightBeyondDirect, LightBeyondReflection, LogRadiance, ReflectedLight
-from rfpp.radiance import log_encode
 
 
 def test_log_radiance_is_decoded():

@@ -7,8 +7,8 @@ from networks import network
 from random_scenes import random_views
 
 from rfpp.batch import RaggedBatch
-from rfpp.model.film import CentreSample
-from rfpp.radiance import log_decode
+from rfpp.imaging.radiance import log_decode
+from rfpp.model.pixel_filter import CentreSample
 
 ALBEDO, SPECULAR, LIGHT = slice(0, 3), slice(7, 10), slice(10, 19)
 

@@ -12,11 +12,12 @@ from networks import checkpoint_info, network
 from safetensors.torch import save_file
 from slow_renderformer import encode, random_checkpoint, render, triangle_tokens
 
-from rfpp import Renderer, Scene
+from rfpp import Renderer
 from rfpp.batch import RaggedBatch, SceneViews
+from rfpp.checkpoint.loading import load_initial_weights, load_network
+from rfpp.checkpoint.model_folder import names_folder
 from rfpp.errors import CheckpointError
-from rfpp.inference.checkpoint import load_initial_weights, load_network
-from rfpp.inference.model_folder import names_folder
+from rfpp.scene.io.loading import load_scene
 from rfpp.scene.packed import PackedScene
 from rfpp.scene.texture import FLAT_NORMAL, covered_cells
 
@@ -102,7 +103,7 @@ def test_textured_triangles_take_the_whole_patch(tmp_path, scene):
     texture = patches(scene)
     shades = np.random.default_rng(0).uniform(0.2, 1, (len(texture), 1, 32, 32)).astype(np.float32)
     texture[:, :3] *= shades
-    loaded = Scene.load(write_h5(tmp_path / "textured.h5", scene, texture))
+    loaded = load_scene(write_h5(tmp_path / "textured.h5", scene, texture))
     assert loaded.texture is not None
     renderer = Renderer.load(write(tmp_path / "released", CONFIG), "cpu", "fp32")
     image, expected = renderer.render(loaded, SIZE)[0], slowly(CONFIG, scene, texture).clip(0)
@@ -112,7 +113,7 @@ def test_textured_triangles_take_the_whole_patch(tmp_path, scene):
 
 
 def test_a_scene_renders_the_same_from_either_format(tmp_path, scene):
-    loaded = Scene.load(write_h5(tmp_path / "plain.h5", scene, patches(scene)))
+    loaded = load_scene(write_h5(tmp_path / "plain.h5", scene, patches(scene)))
     assert loaded.texture is None
     renderer = Renderer.load(write(tmp_path / "released", CONFIG), "cpu", "fp32")
     image, expected = renderer.render(loaded, 64), renderer.render(scene, 64)

@@ -12,16 +12,8 @@ import trimesh
 from gltf_files import GltfBuilder
 
 from rfpp.errors import SceneError, UserError
-from rfpp.scene.mesh import (
-    Mesh,
-    decimated,
-    load_mesh,
-    normalized,
-    save_mesh,
-    slimness,
-    welded,
-    without_degenerate_faces,
-)
+from rfpp.scene.io.mesh_files import load_mesh, save_mesh
+from rfpp.scene.mesh import Mesh, decimated, normalized, slimness, welded, without_degenerate_faces
 
 
 def from_trimesh(shape: trimesh.Trimesh) -> Mesh:

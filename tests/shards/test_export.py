@@ -11,12 +11,12 @@ from PIL import Image
 from scene_families import scenes
 from stored_sample import stored_sample
 
-from rfpp import Scene
 from rfpp.errors import SceneError, UserError
-from rfpp.exr import read_exr
 from rfpp.gbuffer.first_hit import channel, object_ids
-from rfpp.panels import tone_mapped
+from rfpp.imaging.exr import read_exr
+from rfpp.imaging.panels import tone_mapped
 from rfpp.scene.camera import camera_to_world
+from rfpp.scene.io.loading import load_scene
 from rfpp.scene.packed import PackedScene, pack
 from rfpp.scene.triangles import DIFFUSE, SPECULAR, SceneTriangles
 from rfpp.shards.export import export, look_at
@@ -42,7 +42,7 @@ def as_set(triangles: SceneTriangles) -> list:
 
 
 def test_json_gives_back_triangles_materials_normals_and_cameras(sample, tmp_path):
-    scene = pack(Scene.load(export(sample, "renderformer", tmp_path)[0]))
+    scene = pack(load_scene(export(sample, "renderformer", tmp_path)[0]))
     assert scene.name == sample.key
     for name in ("positions", "material", "object_offsets", "object_names"):
         np.testing.assert_array_equal(getattr(scene.triangles, name), getattr(sample.triangles, name))
@@ -52,13 +52,13 @@ def test_json_gives_back_triangles_materials_normals_and_cameras(sample, tmp_pat
 
 
 def test_both_kinds_of_shading_are_told_apart(sample, tmp_path):
-    scene = Scene.load(export(sample, "renderformer", tmp_path)[0])
+    scene = load_scene(export(sample, "renderformer", tmp_path)[0])
     curved = [item for item in scene.objects if item.name.startswith("object_")]
     assert {item.material.smooth_shading for item in curved} == {False, True}
 
 
 def test_an_object_of_many_materials_becomes_many_objects_of_the_same_triangles(painted, tmp_path):
-    scene = pack(Scene.load(export(painted, "renderformer", tmp_path)[0]))
+    scene = pack(load_scene(export(painted, "renderformer", tmp_path)[0]))
     assert scene.triangles.num_objects == painted.triangles.num_objects - 1 + 12
     assert as_set(scene.triangles) == as_set(painted.triangles)
 
@@ -67,7 +67,7 @@ def test_triangles_without_area_are_left_out(painted, tmp_path):
     positions = painted.triangles.positions.copy()
     positions[4, 2] = positions[4, 1]
     flattened = replace(painted, triangles=replace(painted.triangles, positions=positions))
-    scene = pack(Scene.load(export(flattened, "renderformer", tmp_path)[0]))
+    scene = pack(load_scene(export(flattened, "renderformer", tmp_path)[0]))
     assert len(scene.triangles) == len(positions) - 1
 
 
@@ -87,7 +87,7 @@ def test_a_pose_becomes_a_camera_and_a_pose_again():
 
 
 def test_h5_gives_back_triangles_objects_and_cameras(sample, tmp_path):
-    scene = Scene.load(export(sample, "h5", tmp_path)[0])
+    scene = load_scene(export(sample, "h5", tmp_path)[0])
     for name in ("positions", "normals", "object_offsets"):
         np.testing.assert_array_equal(getattr(scene.triangles, name), getattr(sample.triangles, name))
     np.testing.assert_array_equal(scene.triangles.material, sample.triangles.material.astype(np.float16))
@@ -100,7 +100,7 @@ def test_h5_without_our_objects_still_holds_the_same_triangles(sample, tmp_path)
     with h5py.File(path, "r+") as file:
         del file["object_index"]
     stored = replace(sample.triangles, material=sample.triangles.material.astype(np.float16).astype(np.float32))
-    assert as_set(Scene.load(path).triangles) == as_set(stored)
+    assert as_set(load_scene(path).triangles) == as_set(stored)
 
 
 def test_h5_holds_images_and_gbuffers_of_its_own_triangles(sample, tmp_path):

@@ -24,10 +24,11 @@ from small_data import (
 )
 
 from rfpp.errors import MissingDependencyError, ShardError, UserError
+from rfpp.shards import recipe as recipe_file
 from rfpp.shards import writer
+from rfpp.shards.dataset import ShardSplit
 from rfpp.shards.manifest import Manifest
 from rfpp.shards.status import status
-from rfpp.shards.stream import ShardSplit
 
 
 def scenes(manifest: Manifest, split: str) -> list:
@@ -208,6 +209,22 @@ def test_other_settings_are_refused_with_key_folder_and_remedy(copied):
     (copied / "settings.json").unlink()
     with pytest.raises(ShardError, match=r"train-00000\.tar was made with other settings"):
         make(copied, seed=8)
+
+
+def test_a_data_set_goes_on_after_its_code_has_moved(tmp_path, monkeypatch):
+    """Settings used to name where classes lie; they say what they are."""
+    with monkeypatch.context() as before:
+        before.setattr(recipe_file, "_as_begun", lambda root, settings: settings)
+        first = make(tmp_path, groups={"scene": {"_target_": "rfpp.scene.sampler.Boxes"}}, splits={"train": 2})
+    [shard] = tmp_path.glob("train*.tar")
+    made = shard.stat().st_mtime_ns
+
+    moved = {"scene": {"_target_": "rfpp.scene.sampling.family.Boxes"}}
+    second = make(tmp_path, groups=moved, splits={"train": 4})
+    assert shard.stat().st_mtime_ns == made
+    assert second.counts["scenes"] == 4 and first.counts["scenes"] == 2
+    with pytest.raises(ShardError, match=r"scene\._target_ \(Boxes there, Spheres now\)"):
+        make(tmp_path, groups={"scene": {"_target_": "rfpp.scene.sampling.family.Spheres"}}, splits={"train": 4})
 
 
 def test_a_full_disk_names_the_shard_and_keeps_finished_ones(tmp_path, finished, monkeypatch):

@@ -12,8 +12,8 @@ from small_data import REFERENCE, make, recipe
 from rfpp.reference import cycles
 from rfpp.reference.farm import RenderFarm
 from rfpp.shards import generation
+from rfpp.shards.dataset import ShardSplit
 from rfpp.shards.manifest import Manifest
-from rfpp.shards.stream import ShardSplit
 
 
 @dataclass(frozen=True)

@@ -5,8 +5,8 @@ import pytest
 from small_data import make
 
 from rfpp.errors import ShardError
+from rfpp.shards.dataset import ShardSplit
 from rfpp.shards.joined import JoinedSplit, open_manifest, open_split
-from rfpp.shards.stream import ShardSplit
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,7 @@ from rfpp.gbuffer.first_hit import CHANNELS, stack_channels
 from rfpp.scene.camera import camera_to_world
 from rfpp.scene.triangles import SceneTriangles
 from rfpp.shards.sample import SCHEMA_VERSION, SceneSample, decode, encode
-from rfpp.shards.stage import Stage
+from rfpp.shards.scene_rays import Stage
 from rfpp.shards.tar import pack, unpack
 
 

@@ -18,8 +18,8 @@ import pytest
 from rfpp.errors import MissingDependencyError, ShardError, UserError
 from rfpp.shards import store
 from rfpp.shards.cache import ShardCache
+from rfpp.shards.dataset import ShardSplit
 from rfpp.shards.manifest import MANIFEST_FILE, Manifest
-from rfpp.shards.stream import ShardSplit
 from rfpp.shards.tar import unpack
 
 

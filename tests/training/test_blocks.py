@@ -7,7 +7,7 @@ from hydra import compose, initialize_config_dir
 from hydra.utils import instantiate
 from networks import network
 
-from rfpp.entry import CONFIG_DIR
+from rfpp.commands import CONFIG_DIR
 from rfpp.errors import UserError
 from rfpp.training.blocks import RecomputedBlocks, RecomputedObjects
 

@@ -14,7 +14,7 @@ from safetensors import safe_open
 from small_data import make
 from training_runs import differing, finish, output, start, train, wait_for_step
 
-from rfpp.training.checkpoints import step_file, step_files
+from rfpp.training.checkpoint_files import step_file, step_files
 
 STEPS = 10
 RUN = (f"steps={STEPS}", "trainer.val_check_interval=4")

@@ -11,7 +11,7 @@ from networks import checkpoint_info, network
 from torch import nn
 from torch.optim import Muon
 
-from rfpp.entry import CONFIG_DIR
+from rfpp.commands import CONFIG_DIR
 from rfpp.errors import UserError
 from rfpp.metrics.image import ImageMetrics
 from rfpp.model.block import SwiGLU

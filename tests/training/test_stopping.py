@@ -13,8 +13,8 @@ from small_data import make
 from training_runs import SETTINGS
 
 from rfpp.batch import RaggedBatch
-from rfpp.training.callbacks import checkpoints
-from rfpp.training.callbacks.checkpoints import ResumableCheckpoints
+from rfpp.training.callbacks import resumable_checkpoints
+from rfpp.training.callbacks.resumable_checkpoints import ResumableCheckpoints
 from rfpp.training.signals import STOP_SIGNALS, StopSignals
 from rfpp.training.stopping import StoppedError
 
@@ -101,7 +101,7 @@ class Steps(L.Trainer):
     def __init__(self, monkeypatch, steps: int, seconds: float, saving: float):
         self.max_steps, self.seconds, self.saving, self.now = steps, seconds, saving, 1000.0
         self.saved: list[int] = []
-        monkeypatch.setattr(checkpoints, "monotonic", lambda: self.now)
+        monkeypatch.setattr(resumable_checkpoints, "monotonic", lambda: self.now)
 
     def save_checkpoint(self, path: Path) -> None:
         path.touch()

@@ -12,15 +12,15 @@ from small_data import make
 
 from rfpp import Renderer
 from rfpp.batch import RaggedBatch
-from rfpp.entry import CONFIG_DIR
+from rfpp.checkpoint.loading import load_network
+from rfpp.commands import CONFIG_DIR
 from rfpp.errors import CheckpointError
-from rfpp.inference.checkpoint import load_network
-from rfpp.inference.life import EXCHANGED_TOKENS, donated, impaired
+from rfpp.losses.life import EXCHANGED_TOKENS, donated, impaired
 from rfpp.losses.radiance import log_l1
-from rfpp.shards.stream import ShardSplit
+from rfpp.shards.dataset import ShardSplit
+from rfpp.shards.views import select_views
 from rfpp.training.callbacks.life import SignsOfLife
 from rfpp.training.tracking.registry import checkpoint_file
-from rfpp.training.views import select_views
 
 STEPS = 4
 

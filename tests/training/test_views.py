@@ -6,22 +6,15 @@ import numpy as np
 import pytest
 from small_data import make
 
-from rfpp.exr import decode_exr
 from rfpp.gbuffer.first_hit import first_hit, stack_channels
+from rfpp.imaging.exr import decode_exr
 from rfpp.scene.triangles import DIFFUSE, EMISSION, SPECULAR
 from rfpp.shards import sample
+from rfpp.shards.dataset import ShardSplit
 from rfpp.shards.order import ShuffledOrder
-from rfpp.shards.stream import ShardSplit
+from rfpp.shards.views import AllViews, select_views
 from rfpp.training.dealing import BySize, Dealing, InOrder
-from rfpp.training.views import (
-    AllViews,
-    ColourPermutation,
-    GlobalBatches,
-    RigidAugmentation,
-    TrainingViews,
-    moved,
-    select_views,
-)
+from rfpp.training.views import ColourPermutation, GlobalBatches, RigidAugmentation, TrainingViews, moved
 
 CHANNELS = ("albedo", "normal", "position")
 

@@ -7,9 +7,9 @@ from browser import _chromium, browser  # noqa: F401
 from edited_scenes import scene
 from networks import checkpoint_info, network
 
+from rfpp.imaging.tone_maps import SRGB, AgX
 from rfpp.inference.renderer import Renderer
 from rfpp.reference.cycles import CyclesSettings
-from rfpp.tone_maps import SRGB, AgX
 from rfpp.viewer.reference import PathTracer
 from rfpp.viewer.server import Viewer
 
@@ -38,6 +38,6 @@ def viewer(renderer, tracer):
 def _settings() -> CyclesSettings:
     from hydra.utils import instantiate
 
-    from rfpp.entry import settings
+    from rfpp.commands import settings
 
     return instantiate(settings("reference", "reference_settings", "preview"), samples=4)

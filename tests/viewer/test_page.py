@@ -10,7 +10,7 @@ from browser import picture_of, requires_chromium
 from edited_scenes import scene
 from scipy.ndimage import binary_dilation, distance_transform_edt
 
-from rfpp.scene.spec import Scene
+from rfpp.scene.io.loading import load_scene
 from rfpp.viewer.controls import scene_file
 
 pytestmark = requires_chromium
@@ -137,6 +137,6 @@ def test_a_saved_scene_is_loaded_again(tmp_path):
     name, content = scene_file(made, made.cameras[1])
     with zipfile.ZipFile(BytesIO(content)) as archive:
         archive.extractall(tmp_path)
-    again = Scene.load(tmp_path / name.replace(".zip", ".json"))
+    again = load_scene(tmp_path / name.replace(".zip", ".json"))
     assert [item.name for item in again.objects] == [item.name for item in made.objects]
     assert again.cameras == (made.cameras[1],)

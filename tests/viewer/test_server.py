@@ -7,7 +7,7 @@ import pytest
 from edited_scenes import scene
 
 from rfpp.errors import UserError
-from rfpp.scene.files import is_plain_name
+from rfpp.files import is_plain_name
 from rfpp.viewer.controls import scene_file
 from rfpp.viewer.server import Viewer
 

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from edited_scenes import scene
 
+from rfpp.imaging.tone_maps import SRGB
 from rfpp.scene.packed import pack
-from rfpp.tone_maps import SRGB
 from rfpp.viewer.comparison import Wipe
 from rfpp.viewer.edits import moved, replaced
+from rfpp.viewer.layers import everything
 from rfpp.viewer.reference import Reference
 from rfpp.viewer.session import Session, View
-from rfpp.viewer.shown import everything
 
 
 def view_of(renderer, **changes) -> View:

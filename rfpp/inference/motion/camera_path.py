@@ -6,8 +6,9 @@ from pathlib import Path
 
 from rfpp.inference.motion.frames import Frames, KeyedMotion, Load, frames_between
 from rfpp.inference.motion.key_files import CameraTrack, Entries, read_keys
+from rfpp.scene.io.loading import load_scene
 from rfpp.scene.packed import pack
-from rfpp.scene.spec import Scene, Strict
+from rfpp.scene.spec import Strict
 
 
 class CameraPath(KeyedMotion):
@@ -20,7 +21,7 @@ class CameraPath(KeyedMotion):
     Times are seconds, the rest is a camera of a scene file. Place and target run along splines through the keys.
     """
 
-    def frames_of(self, scene: Path, camera: int, load: Load = Scene.load) -> Frames:
+    def frames_of(self, scene: Path, camera: int, load: Load = load_scene) -> Frames:
         track = CameraTrack(read_keys(self.file, _CameraPathFile).camera, f"{self.file}: camera")
         still, start = pack(load(scene)), track.times[0]
         count = frames_between(start, track.times[-1], self.fps)

@@ -11,6 +11,7 @@ from typing import Annotated
 from pydantic import Field
 
 from rfpp.errors import UserError
+from rfpp.scene.io.loading import load_scene
 from rfpp.scene.packed import PackedScene, pack
 from rfpp.scene.spec import Scene, Strict
 
@@ -29,11 +30,11 @@ class Motion(Strict):
         """What the film is called after the scene, in file names."""
 
     @abstractmethod
-    def frames_of(self, scene: Path, camera: int, load: Load = Scene.load) -> Frames:
+    def frames_of(self, scene: Path, camera: int, load: Load = load_scene) -> Frames:
         """The frames, each made when it is asked for. Neighbours of which only the camera moves share their triangles.
 
         Args:
-            scene: what `Scene.load` reads, or what the class says.
+            scene: what `load_scene` reads, or what the class says.
             camera: which of the scene's cameras to start from or look through.
             load: what reads it.
 

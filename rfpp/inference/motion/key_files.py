@@ -12,9 +12,9 @@ import yaml
 from pydantic import Field
 
 from rfpp.errors import SceneError
-from rfpp.inference.motion.curves import Curve, bounded, flowing
+from rfpp.inference.motion.interpolation import Curve, bounded, flowing
+from rfpp.scene.io.limits import parse_json, read_bytes
 from rfpp.scene.spec import Camera, Strict
-from rfpp.scene.untrusted import parse_json, read_bytes
 
 #: Far more than anyone writes, and read in seconds.
 _MAX_BYTES = 1 << 20

@@ -12,8 +12,8 @@ from typing import Annotated
 from pydantic import Field
 
 from rfpp.errors import SceneError
-from rfpp.inference.motion.curves import Curve, bounded, flowing, turning
 from rfpp.inference.motion.frames import Frames, KeyedMotion, Load, frames_between, with_cameras
+from rfpp.inference.motion.interpolation import Curve, bounded, flowing, turning
 from rfpp.inference.motion.key_files import (
     CameraTrack,
     Entries,
@@ -23,6 +23,7 @@ from rfpp.inference.motion.key_files import (
     made_keys,
     read_keys,
 )
+from rfpp.scene.io.loading import load_scene
 from rfpp.scene.packed import PackedScene, poses
 from rfpp.scene.spec import Material, Radiance, Reflectance, Scene, SceneObject, Strict, Transform, Vector
 from rfpp.scene.triangles import SceneTriangles
@@ -46,7 +47,7 @@ class Keyframes(KeyedMotion):
     rotations by slerp, everything else without leaving the values of its keys.
     """
 
-    def frames_of(self, scene: Path, camera: int, load: Load = Scene.load) -> Frames:
+    def frames_of(self, scene: Path, camera: int, load: Load = load_scene) -> Frames:
         content = read_keys(self.file, _KeyframeFile)
         still = load(scene)
         if not isinstance(still, Scene):

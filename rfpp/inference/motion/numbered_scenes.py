@@ -7,13 +7,13 @@ from pathlib import Path
 
 from rfpp.errors import SceneError
 from rfpp.inference.motion.frames import Frames, Load, Motion, with_cameras
-from rfpp.scene.spec import Scene
+from rfpp.scene.io.loading import load_scene
 
 
 class NumberedScenes(Motion):
     """The scene files of a folder in the order of the numbers at the end of their names; `scene` is the folder.
 
-    Each file is a scene by itself: what `Scene.load` fits into the unit cube is fitted frame by frame, so that a film
+    Each file is a scene by itself: what `load_scene` fits into the unit cube is fitted frame by frame, so that a film
     of growing or moving things is better given in a format that it takes as it is, such as JSON.
 
     Attributes:
@@ -26,7 +26,7 @@ class NumberedScenes(Motion):
     def name(self) -> str:
         return "film"
 
-    def frames_of(self, scene: Path, camera: int, load: Load = Scene.load) -> Frames:
+    def frames_of(self, scene: Path, camera: int, load: Load = load_scene) -> Frames:
         if not scene.is_dir():
             raise SceneError(f"{scene}: is not a folder: give the one that holds a scene file for each frame")
         files = self._in_order(scene)

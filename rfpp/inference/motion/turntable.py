@@ -13,8 +13,8 @@ from jaxtyping import Float
 from pydantic import Field
 
 from rfpp.inference.motion.frames import Frames, Load, Motion, with_cameras
+from rfpp.scene.io.loading import load_scene
 from rfpp.scene.packed import PackedScene
-from rfpp.scene.spec import Scene
 from rfpp.scene.triangles import SceneTriangles
 
 
@@ -31,7 +31,7 @@ class _Orbit(Motion):
     def _angle(self, share: float) -> float:
         """In radians, counter-clockwise from above, after this share of the film."""
 
-    def frames_of(self, scene: Path, camera: int, load: Load = Scene.load) -> Frames:
+    def frames_of(self, scene: Path, camera: int, load: Load = load_scene) -> Frames:
         start = with_cameras(load(scene), scene, [camera])
         middle = _middle(start.triangles)
 

@@ -14,7 +14,7 @@ from torch.optim import Optimizer
 
 from rfpp.batch import RaggedBatch
 from rfpp.errors import UserError
-from rfpp.scene.files import write_atomically
+from rfpp.files import write_atomically
 from rfpp.segments import Segments
 
 

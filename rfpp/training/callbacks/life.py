@@ -10,14 +10,14 @@ import torch
 from torch import Tensor
 
 from rfpp.batch import RaggedBatch
-from rfpp.inference.life import EXCHANGED_TOKENS, ErrorGrowth
-from rfpp.radiance import log_encode
+from rfpp.imaging.radiance import log_encode
+from rfpp.losses.life import EXCHANGED_TOKENS, ErrorGrowth
 
 
 class SignsOfLife(L.Callback):
     """Logs by how much the error of validation grows when one part is made useless, as a share of the error.
 
-    As `life/exchanged_tokens`, `life/permuted_light` and `life/no_transport` (`rfpp.inference.life`): at 0 the part
+    As `life/exchanged_tokens`, `life/permuted_light` and `life/no_transport` (`rfpp.losses.life`): at 0 the part
     could as well be left out. A warning is given, once, when a network does not read its scene tokens. Where there are
     several processes, of the first one's scenes.
 

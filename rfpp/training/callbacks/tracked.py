@@ -9,7 +9,7 @@ from typing import Any
 import lightning as L
 import torch
 
-from rfpp.inference.checkpoint import CHECKPOINT_KEY
+from rfpp.checkpoint.loading import CHECKPOINT_KEY
 from rfpp.training.stopping import StoppedError
 from rfpp.training.tracking.run_logger import RunLogger
 

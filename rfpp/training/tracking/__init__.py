@@ -5,6 +5,6 @@ imports MLflow but what talks to it: `logger`, `sending`, `store`, `models`, `da
 """
 
 from rfpp.training.tracking.description import code_version
-from rfpp.training.tracking.results import log_results
+from rfpp.training.tracking.logged_results import log_results
 
 __all__ = ["code_version", "log_results"]

@@ -8,7 +8,7 @@ from collections.abc import Iterable
 
 from lightning.pytorch.utilities import rank_zero_only
 
-from rfpp.scene.files import write_atomically
+from rfpp.files import write_atomically
 from rfpp.training.tracking.journal import JOURNAL, Record, records
 from rfpp.training.tracking.run_logger import RunLogger
 

@@ -13,8 +13,8 @@ from mlflow.exceptions import MlflowException
 from mlflow.models import Model, ModelSignature
 from mlflow.types import ColSpec, DataType, Schema, TensorSpec
 
+from rfpp.checkpoint.loading import CheckpointInfo, load_network
 from rfpp.errors import CheckpointError
-from rfpp.inference.checkpoint import CheckpointInfo, load_network
 from rfpp.training.tracking.store import connected, store_uri
 
 #: Artifact folder of a run's registered model, and the checkpoint's name in it.

@@ -12,7 +12,7 @@ from typing import Any
 from lightning.pytorch.loggers.logger import Logger
 from lightning.pytorch.utilities import rank_zero_only
 
-from rfpp.scene.files import write_atomically
+from rfpp.files import write_atomically
 from rfpp.shards.joined import JoinedManifest
 from rfpp.shards.manifest import Manifest
 from rfpp.training.tracking.description import code_changes, flattened, machine_tags

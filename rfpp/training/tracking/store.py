@@ -16,7 +16,7 @@ from mlflow.tracking.context.registry import resolve_tags
 from mlflow.utils.mlflow_tags import MLFLOW_PARENT_RUN_ID, MLFLOW_RUN_NAME
 
 from rfpp.errors import UserError
-from rfpp.scene.files import write_atomically
+from rfpp.files import write_atomically
 
 #: Whoever waits for a server does so here, where nothing else does; MLflow's own retries take minutes.
 ONE_TRY = {"MLFLOW_HTTP_REQUEST_MAX_RETRIES": "0", "MLFLOW_HTTP_REQUEST_TIMEOUT": "30"}

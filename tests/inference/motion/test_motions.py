@@ -9,12 +9,13 @@ from edited_scenes import scene
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from rfpp import Scene
 from rfpp.errors import SceneError, UserError
 from rfpp.inference.motion import CameraPath, Keyframes, NumberedScenes, Swing, Turntable
 from rfpp.inference.motion.frames import with_cameras
 from rfpp.scene.camera import camera_to_world
-from rfpp.scene.h5 import save_h5
+from rfpp.scene.io.loading import load_scene
+from rfpp.scene.io.renderformer_h5 import save_h5
+from rfpp.scene.io.saving import save_scene
 from rfpp.scene.packed import pack
 from rfpp.scene.spec import Camera
 from rfpp.scene.triangles import EMISSION, rotation_matrix
@@ -23,7 +24,7 @@ from rfpp.scene.triangles import EMISSION, rotation_matrix
 @pytest.fixture(scope="module")
 def file(tmp_path_factory):
     """Six objects, three cameras."""
-    return scene().save(tmp_path_factory.mktemp("scene") / "six.json")
+    return save_scene(scene(), tmp_path_factory.mktemp("scene") / "six.json")
 
 
 @pytest.fixture
@@ -47,7 +48,7 @@ class TestTurntable:
         frames = Turntable(frames=12).frames_of(file, camera=1)
         assert len(frames) == 12
         poses = np.stack([frame.c2w[0] for frame in frames]).astype(np.float64)
-        np.testing.assert_array_equal(poses[0], pack(Scene.load(file)).c2w[1])
+        np.testing.assert_array_equal(poses[0], pack(load_scene(file)).c2w[1])
         steps = [b @ np.linalg.inv(a) for a, b in zip(poses, [*poses[1:], poses[0]], strict=True)]
         for step in steps:  # the last one, back to the first, like all others
             np.testing.assert_allclose(step, steps[0], atol=1e-6)
@@ -78,7 +79,7 @@ class TestTurntable:
 def test_a_swing_goes_to_both_sides_and_comes_back(file):
     frames = Swing(frames=8, degrees=40).frames_of(file, camera=1)
     pose = frames[0].c2w[0].astype(np.float64)
-    np.testing.assert_array_equal(pose, pack(Scene.load(file)).c2w[1])
+    np.testing.assert_array_equal(pose, pack(load_scene(file)).c2w[1])
     for number, angle in ((2, 20.0), (4, 0.0), (6, -20.0)):
         turned = frames[number].c2w[0] @ np.linalg.inv(pose)
         np.testing.assert_allclose(turned[:3, :3], rotation_matrix((0.0, 0.0, angle)), atol=1e-6)
@@ -190,7 +191,7 @@ class TestKeyframes:
         }
         frames = Keyframes(file=keys({"objects": objects}), fps=2).frames_of(file, camera=2)
         assert len(frames) == 5
-        original = pack(Scene.load(file))
+        original = pack(load_scene(file))
         first, middle, last = frames[0], frames[2], frames[4]
         np.testing.assert_array_equal(first.c2w[0], original.c2w[2])
 
@@ -254,7 +255,7 @@ class TestNumberedScenes:
     def folder(self, tmp_path):
         for number in (9, 10, 11):
             cameras = (Camera(position=(number, 0, 0), look_at=(0, 0, 0), fov=40),)
-            scene().model_copy(update={"cameras": cameras}).save(tmp_path / "film" / f"frame_{number}.json")
+            save_scene(scene().model_copy(update={"cameras": cameras}), tmp_path / "film" / f"frame_{number}.json")
         return tmp_path / "film"
 
     def test_frames_come_in_the_order_of_their_numbers(self, folder):

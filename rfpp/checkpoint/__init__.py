@@ -1,0 +1,1 @@
+"""Files and networks: checkpoints, model folders, released RenderFormer weights, shipped models."""

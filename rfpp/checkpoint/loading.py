@@ -1,0 +1,171 @@
+"""Reading a network back from a checkpoint, without running any code that the file might name."""
+
+from __future__ import annotations
+
+import pickle
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import torch
+from pydantic import ConfigDict, TypeAdapter, ValidationError
+from torch import nn
+
+from rfpp.checkpoint.building import build_network, require_fitting
+from rfpp.checkpoint.model_folder import CONFIG_FILE, folder_of, names_folder, read_folder
+from rfpp.checkpoint.released_weights import released, with_folded_texture
+from rfpp.checkpoint.renamed import with_current_names
+from rfpp.errors import CheckpointError
+from rfpp.model.triangle_embedding import TriangleEmbedding
+
+#: Where a Lightning checkpoint keeps a `CheckpointInfo`.
+CHECKPOINT_KEY = "rfpp"
+SCHEMA_VERSION = 2
+#: The network's place in a Lightning state dict.
+NETWORK_PREFIX = "network."
+_LARGEST_SIDE = 1 << 14
+#: What is known of the released RenderFormer; 512 pixels are its pipeline's default.
+RELEASED = {
+    "resolution": (512, 512),
+    "data_manifest": "unknown",
+    "dataset": "its authors' data",
+    "method": "RenderFormer",
+    "seed": 0,
+    "steps": None,
+}
+
+
+@dataclass(frozen=True)
+class CheckpointInfo:
+    """What a checkpoint says about itself.
+
+    Attributes:
+        model: nested `_target_` config of the network, all values plain.
+        resolution: (height, width) the network was trained at.
+        data_manifest: hash of the data set's manifest.
+        dataset: its name.
+        method: the network's name in tables of results, e.g. "RenderFormer++".
+        seed: of weights, data order, views and augmentation.
+        steps: optimizer steps it was trained for, if known.
+        commit: code version, or None outside a repository.
+        mlflow_run_id, mlflow_tracking_uri: the run it belongs to, or None.
+        schema_version: of this record.
+    """
+
+    __pydantic_config__ = ConfigDict(extra="forbid")
+
+    model: dict[str, Any]
+    resolution: tuple[int, int]
+    data_manifest: str
+    dataset: str
+    method: str
+    seed: int
+    steps: int | None
+    commit: str | None = None
+    mlflow_run_id: str | None = None
+    mlflow_tracking_uri: str | None = None
+    schema_version: int = SCHEMA_VERSION
+
+    def to_dict(self) -> dict[str, Any]:
+        return asdict(self)
+
+
+def load_network(path: Path | str) -> tuple[nn.Module, CheckpointInfo]:
+    """The network in evaluation mode on the CPU, and what its checkpoint says about itself.
+
+    Args:
+        path: a file written by launch/train.py; or a folder with config.json and model.safetensors, written by
+            `Renderer.save` or a released RenderFormer, or its id on the Hugging Face hub.
+
+    Raises:
+        CheckpointError: it is missing, unreadable, of an unknown kind, or its weights are not of the network it names.
+    """
+    info, weights = _read(path)
+    network = build_network(info.model, weights, str(path))
+    network.load_state_dict(weights)
+    return network.eval(), info
+
+
+def load_initial_weights(network: nn.Module, path: Path | str) -> None:
+    """Give a network the weights of a checkpoint, ours or a released RenderFormer, to train it further.
+
+    A released texture encoder is folded for a network that knows one material per triangle.
+
+    Raises:
+        CheckpointError: the checkpoint cannot be read, or is of another model.
+    """
+    _, weights = _read(path)
+    if isinstance(network.embedding, TriangleEmbedding) and "embedding.texture_proj.weight" in weights:
+        weights = with_folded_texture(weights)
+    require_fitting(network, weights, str(path))
+    network.load_state_dict(weights)
+
+
+def _read(checkpoint: Path | str) -> tuple[CheckpointInfo, dict[str, torch.Tensor]]:
+    """What a checkpoint says about itself, and its network's weights."""
+    if not names_folder(checkpoint):
+        return _read_file(Path(checkpoint))
+    folder = folder_of(checkpoint)
+    config, tensors = read_folder(folder)
+    if CHECKPOINT_KEY in config:
+        return _info(config[CHECKPOINT_KEY], folder / CONFIG_FILE), tensors
+    model, weights = released(config, tensors, folder)
+    return CheckpointInfo(model, **RELEASED), weights
+
+
+def _read_file(path: Path) -> tuple[CheckpointInfo, dict[str, torch.Tensor]]:
+    """A checkpoint that Lightning wrote."""
+    if path.parts[0] == "models:":
+        raise CheckpointError(
+            f"{path}: is a model of MLflow's registry: give it to launch/render.py or launch/evaluate.py, or fetch its "
+            "file by rfpp.training.tracking.registry.checkpoint_file"
+        )
+    if not path.is_file():
+        raise CheckpointError(f"{path}: no such checkpoint: train one with launch/train.py, or correct the path")
+    content = stored(path)
+    state = content.get("state_dict")
+    if not isinstance(state, dict) or not all(isinstance(x, torch.Tensor) for x in state.values()):
+        raise CheckpointError(f"{path}: holds no weights: give a checkpoint written by launch/train.py")
+    weights = {k.removeprefix(NETWORK_PREFIX): v for k, v in state.items() if str(k).startswith(NETWORK_PREFIX)}
+    return _info(content[CHECKPOINT_KEY], path), weights
+
+
+def stored(path: Path, **how: Any) -> dict[str, Any]:
+    """What a checkpoint that Lightning wrote holds; no code in it is run.
+
+    Args:
+        how: further arguments of torch.load.
+
+    Raises:
+        CheckpointError: it cannot be read, holds more than tensors and plain values, or is not of this project.
+    """
+    try:
+        content = torch.load(path, map_location="cpu", weights_only=True, **how)
+    except Exception as error:  # a stranger's file: pickle, zip and tensors fail in many ways
+        reason = (str(error).strip() or type(error).__name__).splitlines()[0][:160]
+        if isinstance(error, pickle.UnpicklingError) and "GLOBAL" in str(error):
+            raise CheckpointError(f"{path}: names code, not only tensors and plain values: refused") from None
+        raise CheckpointError(f"{path}: cannot be read as a checkpoint ({reason}): copy it again") from None
+    if not isinstance(content, dict) or CHECKPOINT_KEY not in content:
+        raise CheckpointError(f"{path}: not a checkpoint of this project: give one written by launch/train.py")
+    return content
+
+
+def _info(about: Any, path: Path) -> CheckpointInfo:
+    version = about.get("schema_version") if isinstance(about, dict) else None
+    if version != SCHEMA_VERSION:
+        raise CheckpointError(
+            f"{path}: checkpoint schema {version}, this code reads {SCHEMA_VERSION}: "
+            "use the version of rfpp that made it"
+        )
+    try:
+        info = TypeAdapter(CheckpointInfo).validate_python(about)  # JSON has lists only, which become tuples
+    except ValidationError as error:
+        first = error.errors()[0]
+        what = ".".join(map(str, first["loc"]))
+        raise CheckpointError(
+            f"{path}: its description does not fit ({what}: {first['msg']}): use the version that made it"
+        ) from None
+    if not all(0 < side <= _LARGEST_SIDE for side in info.resolution):
+        raise CheckpointError(f"{path}: was trained at {info.resolution} pixels, it says: use the version that made it")
+    return replace(info, model=with_current_names(info.model))

@@ -1,0 +1,30 @@
+"""Numbers of a metric as every table writes them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+
+from rfpp.evaluation.measuring.confidence import Estimate
+from rfpp.metrics.image import METRICS
+
+#: Where there is no number.
+EMPTY = "—"
+
+
+def number_text(name: str, value: float) -> str:
+    """With the digits of the metric `name`."""
+    return f"{value:.{METRICS[name].decimals}f}"
+
+
+def interval_text(name: str, value: Estimate | None) -> str:
+    """E.g. "0.0076–0.0085"; a dash for a single scene, which has no interval."""
+    if value is None or math.isnan(value.margin):
+        return EMPTY
+    return f"{number_text(name, value.low)}–{number_text(name, value.high)}"
+
+
+def best_value(name: str, values: Iterable[float]) -> float:
+    """The best in the direction of the metric `name`; NaN, which equals nothing, if there is none."""
+    numbers = [value for value in values if not math.isnan(value)]
+    return (max if METRICS[name].higher_is_better else min)(numbers, default=math.nan)

@@ -1,0 +1,40 @@
+"""Which parts of a network live? A column of an evaluation that errors alone do not have."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import torch
+
+from rfpp.batch import RaggedBatch
+from rfpp.losses.life import EXCHANGED_TOKENS, NO_TRANSPORT, PERMUTED_LIGHT, ErrorGrowth
+from rfpp.model.renderformer_pp import RenderFormerPP
+from rfpp.shards.dataset import ShardSplit
+from rfpp.shards.views import AllViews
+
+#: What was made useless, as tables call it.
+HEADINGS = {
+    EXCHANGED_TOKENS: "with other scenes' tokens",
+    PERMUTED_LIGHT: "with the cells' light dealt anew",
+    NO_TRANSPORT: "without transport",
+}
+
+
+@torch.no_grad()
+def signs_of_life(network: RenderFormerPP, split: ShardSplit, device: torch.device, scenes: int) -> dict[str, float]:
+    """By how much log-L1 grows with each part made useless, as a share of it; empty for a single scene.
+
+    Args:
+        network: in evaluation mode, on `device`.
+        scenes: of the split, at most, its first ones.
+    """
+    views, growth = AllViews(split, network.gbuffer_channels), ErrorGrowth()
+    for index in range(min(scenes, len(views))):
+        batch = RaggedBatch.pack([views[index]]).to(device)
+        growth.add(network, batch, network(batch).log_radiance)
+    return growth.shares()
+
+
+def life_text(shares: Mapping[str, float]) -> str:
+    """E.g. "log-L1 with other scenes' tokens +2%, without transport +108%"."""
+    return "log-L1 " + ", ".join(f"{HEADINGS[what]} {share:+.0%}" for what, share in shares.items())

@@ -1,0 +1,1 @@
+"""Pictures: radiance encodings, tone maps, EXR files, labelled panels."""

@@ -1,0 +1,127 @@
+"""Pictures for people: radiance as 8-bit sRGB, everything else in false colours, labelled sheets, and PNG files."""
+
+from __future__ import annotations
+
+import io
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int, UInt8
+from PIL import Image, ImageDraw, ImageFont
+
+from rfpp.files import write_atomically
+from rfpp.imaging.radiance import exposed, perceptual, srgb, to_8bit
+
+#: Tone-mapped error that the error scale shows as its brightest colour.
+ERROR_FULL_SCALE = 0.25
+
+#: Black through purple and orange to pale yellow: five stops of matplotlib's "inferno".
+_SCALE = np.array([[0, 0, 4], [87, 16, 110], [188, 55, 84], [249, 142, 9], [252, 255, 164]])
+
+#: Blue through white to red: ends and middle of ColorBrewer's "RdBu".
+_DIVERGING = np.array([[33, 102, 172], [247, 247, 247], [178, 24, 43]])
+
+_MIN_TILE = 160  # pixels; smaller images are enlarged by whole factors, so that their pixels stay visible
+_GAP, _LINE, _FONT_SIZE = 4, 18, 12
+_PAPER, _INK = (255, 255, 255), (40, 40, 40)
+
+Picture = UInt8[np.ndarray, "_ _ 3"]
+
+
+def tone_mapped(radiance: Float[np.ndarray, "h w 3"], stops: float = 0.0) -> UInt8[np.ndarray, "h w 3"]:
+    """Linear radiance (or albedo) as an 8-bit sRGB picture after `stops` of exposure."""
+    return to_8bit(srgb(exposed(_tensor(radiance), stops))).numpy()
+
+
+def error_map(
+    prediction: Float[np.ndarray, "h w 3"], reference: Float[np.ndarray, "h w 3"]
+) -> UInt8[np.ndarray, "h w 3"]:
+    """Mean error over the channels of clamp(log2(1 + I), 0, 1): black is none, pale yellow 0.25 and more, or NaN."""
+    error = (perceptual(_tensor(prediction)) - perceptual(_tensor(reference))).abs().mean(dim=-1).numpy()
+    return false_colours(np.nan_to_num(error / ERROR_FULL_SCALE, nan=1.0))
+
+
+def signed_error_map(
+    prediction: Float[np.ndarray, "h w 3"], reference: Float[np.ndarray, "h w 3"]
+) -> UInt8[np.ndarray, "h w 3"]:
+    """Mean difference over the channels of clamp(log2(1 + I), 0, 1): white is none, blue too dark, red too bright.
+
+    Both are full at 0.25; NaN is black.
+    """
+    difference = (perceptual(_tensor(prediction)) - perceptual(_tensor(reference))).mean(dim=-1).numpy()
+    share = np.clip(difference / ERROR_FULL_SCALE, -1, 1)
+    channels = [np.interp(share, (-1, 0, 1), _DIVERGING[:, channel]) for channel in range(3)]
+    return np.nan_to_num(np.stack(channels, axis=-1)).round().astype(np.uint8)
+
+
+def false_colours(share: Float[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h w 3"]:
+    """Numbers in [0, 1], from black to pale yellow."""
+    stops = np.linspace(0, 1, len(_SCALE))
+    channels = [np.interp(share, stops, _SCALE[:, channel]) for channel in range(3)]
+    return np.stack(channels, axis=-1).round().astype(np.uint8)
+
+
+def distinct_colours(ids: Int[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h w 3"]:
+    """A colour for each number, unlike that of its neighbours; black for negative ones."""
+    hue = (ids * 0.6180339887498949)[..., None] * 6 + np.array([0, 4, 2])  # turns by the golden ratio never meet
+    pure = np.clip(np.abs(hue % 6 - 3) - 1, 0, 1)
+    paleness = 0.25 + 0.4 * (ids * 0.7548776662466927 % 1)[..., None]
+    return np.where(ids[..., None] >= 0, 255 * (paleness + (1 - paleness) * pure), 0).astype(np.uint8)
+
+
+def panel(
+    columns: Mapping[str, Sequence[Picture]], captions: Sequence[str] = (), title: str = ""
+) -> UInt8[np.ndarray, "h w 3"]:
+    """A sheet of pictures: a heading over each column and, where given, a caption under each row and a title on top.
+
+    Args:
+        columns: heading → 8-bit pictures from top to bottom, of one shape but perhaps of several resolutions.
+        captions: a line of text per row, or none at all.
+    """
+    rows = list(zip(*columns.values(), strict=True))
+    under = [[caption, *[""] * (len(columns) - 1)] for caption in captions]
+    return _sheet(rows, list(columns), under, title)
+
+
+def contact_sheet(pictures: Sequence[Picture], captions: Sequence[str]) -> UInt8[np.ndarray, "h w 3"]:
+    """Pictures of one shape in about as many rows as columns, each over its caption."""
+    wide = math.ceil(math.sqrt(len(pictures)))
+    starts = range(0, len(pictures), wide)
+    return _sheet([pictures[i : i + wide] for i in starts], [], [captions[i : i + wide] for i in starts])
+
+
+def save_png(picture: Picture, path: Path | str) -> Path:
+    """Write a PNG file atomically, creating its folder; returns the path. Raises UserError (full disk)."""
+    stream = io.BytesIO()
+    Image.fromarray(picture).save(stream, format="png")
+    return write_atomically(Path(path), stream.getvalue())
+
+
+def _sheet(
+    rows: Sequence[Sequence[Picture]], headings: Sequence[str], captions: Sequence[Sequence[str]], title: str = ""
+) -> UInt8[np.ndarray, "h w 3"]:
+    """Pictures side by side, enlarged to the size of the largest, with lines of text around them."""
+    height, width = max(picture.shape[:2] for row in rows for picture in row)
+    factor = max(1, -(-_MIN_TILE // max(height, width)))
+    height, width = height * factor, width * factor
+    top = _LINE * bool(title) + (_LINE if headings else _GAP)
+    row_height = height + _GAP + _LINE * bool(captions)
+    sheet = Image.new("RGB", (max(map(len, rows)) * (width + _GAP) + _GAP, top + len(rows) * row_height), _PAPER)
+    draw, font = ImageDraw.Draw(sheet), ImageFont.load_default(_FONT_SIZE)
+    draw.text((_GAP, 2), title, _INK, font)
+    for column, heading in enumerate(headings):
+        draw.text((_GAP + column * (width + _GAP) + width / 2, top - _LINE / 2), heading, _INK, font, anchor="mm")
+    for row, pictures in enumerate(rows):
+        for column, picture in enumerate(pictures):
+            corner = _GAP + column * (width + _GAP), top + row * row_height
+            sheet.paste(Image.fromarray(picture).resize((width, height), Image.Resampling.NEAREST), corner)
+            if captions:
+                draw.text((corner[0], corner[1] + height + 2), captions[row][column], _INK, font)
+    return np.asarray(sheet)
+
+
+def _tensor(image: np.ndarray) -> torch.Tensor:
+    return torch.from_numpy(np.ascontiguousarray(image, dtype=np.float32))

@@ -1,0 +1,118 @@
+"""The triangles of one glTF primitive: positions, faces, and what its attributes say of them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from rfpp.errors import SceneError
+from rfpp.scene.io.gltf_file import GltfFile
+from rfpp.scene.io.gltf_schema import Primitive, Skin
+
+_TRIANGLES, _STRIP, _FAN = 4, 5, 6
+#: Corners whose stored normals lie farther from their face's than this (1 degree) belong to smooth surfaces.
+_FLAT_COSINE = math.cos(math.radians(1))
+
+
+@dataclass(frozen=True, eq=False)
+class Geometry:
+    """A primitive of triangles.
+
+    Attributes:
+        positions: [V, 3] float64, before any transform.
+        faces: [F, 3] indices into them.
+    """
+
+    file: GltfFile
+    primitive: Primitive
+    positions: Float[np.ndarray, "v 3"]
+    faces: Int[np.ndarray, "f 3"]
+
+    @classmethod
+    def read(cls, file: GltfFile, primitive: Primitive) -> Geometry | None:
+        """None for points and lines. Raises SceneError: compressed, without positions, a bad index."""
+        for extension in ("KHR_draco_mesh_compression", "EXT_meshopt_compression"):
+            if extension in primitive.extensions:
+                raise SceneError(f"{extension} cannot be read: export it without mesh compression")
+        if primitive.mode not in (_TRIANGLES, _STRIP, _FAN):
+            return None
+        if "POSITION" not in primitive.attributes:
+            raise SceneError("a primitive has no POSITION: export it again")
+        positions = file.array(primitive.attributes["POSITION"], "VEC3").astype(np.float64)
+        corners = np.arange(len(positions))
+        if primitive.indices is not None:
+            corners = file.array(primitive.indices, "SCALAR")
+            if corners.dtype.kind != "u":
+                raise SceneError("its indices are no integers: export it again")
+            corners = corners.astype(np.int64)
+        faces = _triangles(corners, primitive.mode)
+        if len(faces) and faces.max() >= len(positions):
+            raise SceneError(f"a face refers to vertex {faces.max():,} of {len(positions):,}: export it again")
+        return cls(file, primitive, positions, faces)
+
+    @property
+    def is_smooth(self) -> bool:
+        """By the stored normals; without any, glTF says flat."""
+        if "NORMAL" not in self.primitive.attributes:
+            return False
+        normals = self._attribute("NORMAL", "VEC3")[self.faces]
+        a, b, c = np.moveaxis(self.positions[self.faces], 1, 0)
+        of_faces = np.cross(b - a, c - a)
+        lengths = np.linalg.norm(normals, axis=-1) * np.linalg.norm(of_faces, axis=-1)[:, None]
+        return bool((np.abs((normals * of_faces[:, None]).sum(-1)) < _FLAT_COSINE * lengths).any())
+
+    @property
+    def colours(self) -> Float[np.ndarray, "f 4"] | None:
+        """The mean of its corners' colours for each face, linear, with alpha."""
+        if "COLOR_0" not in self.primitive.attributes:
+            return None
+        colours = np.clip(self._attribute("COLOR_0", "VEC3", "VEC4"), 0, 1)
+        opaque = np.ones((len(colours), 4))
+        opaque[:, : colours.shape[1]] = colours
+        return opaque[self.faces].mean(axis=1).astype(np.float32)
+
+    def coordinates(self, number: int) -> Float[np.ndarray, "f 3 2"]:
+        """Texture coordinates of the corners."""
+        name = f"TEXCOORD_{number}"
+        if name not in self.primitive.attributes:
+            raise SceneError(f"a texture needs {name}, which the mesh has not: unwrap the mesh or drop the texture")
+        return self._attribute(name, "VEC2")[self.faces]
+
+    def skinned(self, skin: Skin, poses: Mapping[int, np.ndarray]) -> Float[np.ndarray, "v 3"]:
+        """World positions of a mesh that follows joints (node → pose), not its own node."""
+        if any(joint not in poses for joint in skin.joints):
+            raise SceneError("a joint of its skin is not in the scene: export it again")
+        bones = np.stack([poses[joint] for joint in skin.joints]) if skin.joints else np.empty((0, 4, 4))
+        if skin.inverse_bind_matrices is not None:
+            inverse = self.file.array(skin.inverse_bind_matrices, "MAT4").astype(np.float64)
+            if len(inverse) < len(bones):
+                raise SceneError("its skin has not a matrix for each joint: export it again")
+            bones = bones @ inverse[: len(bones)].reshape(-1, 4, 4).transpose(0, 2, 1)
+        joints, weights = self._attribute("JOINTS_0", "VEC4").astype(np.int64), self._attribute("WEIGHTS_0", "VEC4")
+        if joints.max() >= len(bones) or joints.min() < 0:
+            raise SceneError("its skin is damaged: export it again")
+        posed = np.zeros_like(self.positions)
+        for joint, weight in zip(joints.T, weights.T, strict=True):
+            moved = np.einsum("vij,vj->vi", bones[joint][:, :3, :3], self.positions) + bones[joint][:, :3, 3]
+            posed += weight[:, None] * moved
+        return posed / np.maximum(weights.sum(axis=1, keepdims=True), 1e-9)
+
+    def _attribute(self, name: str, *types: str) -> Float[np.ndarray, "v n"]:
+        values = self.file.array(self.primitive.attributes[name], *types).astype(np.float64)
+        if len(values) != len(self.positions) or not np.isfinite(values).all():
+            raise SceneError(f"its {name} is damaged: export it again")
+        return values
+
+
+def _triangles(corners: Int[np.ndarray, " n"], mode: int) -> Int[np.ndarray, "f 3"]:
+    if mode == _TRIANGLES:
+        return corners[: len(corners) // 3 * 3].reshape(-1, 3)
+    first = np.arange(max(len(corners) - 2, 0))
+    if mode == _FAN:
+        return corners[np.stack([np.zeros_like(first), first + 1, first + 2], axis=1)]
+    odd = first % 2  # every other triangle of a strip is wound the other way
+    return corners[np.stack([first, first + 1 + odd, first + 2 - odd], axis=1)]

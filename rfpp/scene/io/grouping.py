@@ -1,0 +1,103 @@
+"""How many objects a file becomes: its parts, its connected components, never too many."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from rfpp.scene.io.imported_scene import Part
+
+#: The most that a training scene has.
+MAX_OBJECTS = 70
+
+
+def components(part: Part) -> Iterator[Part]:
+    """Its connected pieces, in the order of their first faces; equal positions count as one vertex."""
+    if not len(part):
+        return
+    _, welded = np.unique(part.vertices + 0.0, axis=0, return_inverse=True)
+    corners = welded.reshape(-1)[part.faces]
+    edges = (np.concatenate([corners[:, 0], corners[:, 0]]), np.concatenate([corners[:, 1], corners[:, 2]]))
+    graph = coo_array((np.ones(len(edges[0]), bool), edges), shape=(corners.max() + 1,) * 2)
+    label = connected_components(graph, directed=False)[1][corners[:, 0]]
+    _, first, piece, count = np.unique(label, return_index=True, return_inverse=True, return_counts=True)
+    if len(first) == 1:
+        yield part
+        return
+    by_piece = np.split(np.argsort(piece.reshape(-1), kind="stable"), np.cumsum(count)[:-1])
+    if len(first) > MAX_OBJECTS:  # crumbs are put together first: each is looked at as an object once only
+        areas = np.bincount(piece.reshape(-1), weights=part.areas)
+        largest = np.argsort(-areas, kind="stable")[:MAX_OBJECTS]
+        crumbs = np.setdiff1d(np.arange(len(first)), largest)
+        centres = _centres(part, piece.reshape(-1), len(first))
+        nearest = cKDTree(centres[largest]).query(centres[crumbs])[1]
+        for crumb, body in zip(crumbs, largest[nearest], strict=True):
+            by_piece[body] = np.concatenate([by_piece[body], by_piece[crumb]])
+        first, by_piece = first[largest], [by_piece[i] for i in largest]
+    for index in np.argsort(first):
+        yield part.only(np.sort(by_piece[index]))
+
+
+def merged(parts: Sequence[Part], path: Path) -> list[Part]:
+    """At most `MAX_OBJECTS` surfaces and as many lights, with unique names: small parts join the nearest large one.
+
+    Warns if any did.
+    """
+    kept = [*_merged([p for p in parts if not p.is_light]), *_merged([p for p in parts if p.is_light])]
+    if len(kept) < len(parts):
+        warnings.warn(f"{path}: {len(parts)} parts became {len(kept)} objects, small ones joined to others",
+                      stacklevel=4)  # fmt: skip
+    return [replace(part, name=name) for part, name in zip(kept, _unique([p.name for p in kept]), strict=True)]
+
+
+def _merged(parts: list[Part]) -> list[Part]:
+    if len(parts) <= MAX_OBJECTS:
+        return parts
+    order = np.argsort([-part.areas.sum() for part in parts], kind="stable")
+    large, small = np.sort(order[:MAX_OBJECTS]), order[MAX_OBJECTS:]
+    centres = np.stack([part.corners.mean(axis=(0, 1)) for part in parts])
+    nearest = cKDTree(centres[large]).query(centres[small])[1]
+    joining = {index: [index] for index in large}
+    for index, body in zip(small, large[nearest], strict=True):
+        joining[body].append(index)
+    return [_joined([parts[index] for index in indices]) for indices in joining.values()]
+
+
+def _joined(parts: Sequence[Part]) -> Part:
+    """One part, called and shaded like the first."""
+    starts = np.cumsum([0, *(len(part.vertices) for part in parts[:-1])])
+    return replace(
+        parts[0],
+        vertices=np.concatenate([part.vertices for part in parts]),
+        faces=np.concatenate([part.faces + start for part, start in zip(parts, starts, strict=True)]),
+        material=np.concatenate([part.material for part in parts]),
+    )
+
+
+def _centres(part: Part, piece: np.ndarray, count: int) -> np.ndarray:
+    """[count, 3] mean of the faces' centres of each piece."""
+    sums = np.stack([np.bincount(piece, weights=column, minlength=count) for column in part.corners.mean(axis=1).T])
+    return (sums / np.bincount(piece, minlength=count)).T
+
+
+def _unique(names: Sequence[str]) -> list[str]:
+    """A number behind each name that was there before."""
+    taken: set[str] = set(names)
+    seen: set[str] = set()
+    result = []
+    counts: dict[str, int] = {}
+    for name in names:
+        unique = name
+        while unique in seen or (unique != name and unique in taken):
+            counts[name] = counts.get(name, 1) + 1
+            unique = f"{name}_{counts[name]}"
+        seen.add(unique)
+        result.append(unique)
+    return result

@@ -1,0 +1,133 @@
+"""Light for imported scenes: lamps become emissive triangles, and scenes in the dark get lights of their own.
+
+- A point light: a tetrahedron with edges of 0.05, of radiance 4 · intensity / surface; right in the mean over
+  directions and within 18% in each.
+- A spot: one triangle with edges of 0.05, facing its direction, of radiance intensity / area; right along the axis. It
+  falls off as a cosine instead of at a cone, and shines backwards as well.
+- A directional light: one triangle with edges of 0.16, 2.4 from the origin and facing it, of radiance irradiance ·
+  2.4² / area; right at the origin.
+
+How bright a scene is, is measured by the irradiance that would reach its surfaces with nothing in between. One that its
+own lights leave below a fiftieth of what training scenes have gets three lights more, about the first camera; one with
+more than twenty times that has its lights dimmed to it.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from rfpp.scene.io.imported_scene import ImportedScene, Lamp, Part
+from rfpp.scene.spec import Camera
+from rfpp.scene.triangles import EMISSION
+
+#: Mean unoccluded irradiance of the example scenes' surfaces, which are lit like training scenes.
+USUAL = 2.2
+_FAINT, _DAZZLING = USUAL / 50, USUAL * 20
+
+_LAMP_EDGE, _LIGHT_EDGE, _LIGHT_DISTANCE = 0.05, 0.16, 2.4
+_TETRAHEDRON = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]) / np.sqrt(8)  # edges of 1
+_SIDES = np.array([[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]])
+
+#: Azimuth from the camera's and elevation in degrees, and radiance, which adds up to what training scenes have.
+_RIG = (("key_light", 45.0, 50.0, 2200.0), ("fill_light", -60.0, 35.0, 1200.0), ("back_light", 170.0, 60.0, 600.0))
+_SAMPLES = 512
+
+
+def lit(scene: ImportedScene, camera: Camera, path: Path) -> list[Part]:
+    """The parts of a framed scene and its lights, as the module says; `camera` is the one that the rig is about."""
+    parts = [*scene.parts, *map(emitter, scene.lamps)]
+    glowing = sum(part.is_light for part in scene.parts)
+    if glowing:
+        warnings.warn(
+            f"{path}: emissive parts light the scene and are invisible to the camera ({glowing})", stacklevel=4
+        )
+    if crooked := sum(lamp.kind != "point" for lamp in scene.lamps):
+        warnings.warn(f"{path}: spot and directional lights became triangles, which shine more widely ({crooked})",
+                      stacklevel=4)  # fmt: skip
+    arriving = irradiance(parts)
+    if arriving < _FAINT:
+        why = f"its lights give it {arriving / USUAL:.1%} of the usual light" if arriving else "it has no light"
+        warnings.warn(f"{path}: {why}: three lights are added", stacklevel=4)
+        parts += [_rig_light(camera, *values) for values in _RIG]
+    elif arriving > _DAZZLING:
+        factor = USUAL / arriving
+        warnings.warn(f"{path}: its lights are made {factor:.3g} times as bright, as in training scenes", stacklevel=4)
+        parts = [_dimmed(part, factor) for part in parts]
+    return parts
+
+
+def emitter(lamp: Lamp) -> Part:
+    """The triangles in a lamp's place."""
+    if lamp.kind == "point":
+        surface = np.sqrt(3) * _LAMP_EDGE**2
+        return _light(lamp.name, lamp.position + _LAMP_EDGE * _TETRAHEDRON, _SIDES, 4 * lamp.strength / surface)
+    if lamp.kind == "spot":
+        return _triangle(lamp.name, lamp.position, lamp.direction, _LAMP_EDGE, lamp.strength / _area(_LAMP_EDGE))
+    radiance = lamp.strength * _LIGHT_DISTANCE**2 / _area(_LIGHT_EDGE)
+    return _triangle(lamp.name, -_LIGHT_DISTANCE * lamp.direction, lamp.direction, _LIGHT_EDGE, radiance)
+
+
+def irradiance(parts: Sequence[Part]) -> float:
+    """Mean over the surfaces of the unoccluded irradiance from all lights, averaged over colours."""
+    surfaces, lights = ([p for p in parts if p.is_light == is_light and len(p)] for is_light in (False, True))
+    if not surfaces or not lights:
+        return 0.0
+    rng = np.random.default_rng(0)
+    points, normals, _ = _sampled(rng, surfaces, [part.areas for part in surfaces])
+    power = [part.areas * part.material[:, EMISSION].mean(axis=1, dtype=np.float64) for part in lights]
+    places, facing, each = _sampled(rng, lights, power)
+    towards = places - points[:, None]
+    squared = np.maximum((towards**2).sum(-1), 1e-4)
+    cosines = np.abs((towards * normals[:, None]).sum(-1) * (towards * facing).sum(-1)) / squared
+    return float((each * cosines / squared).sum(axis=1).mean())
+
+
+def _sampled(
+    rng: np.random.Generator, parts: Sequence[Part], weights: Sequence[np.ndarray]
+) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"], float]:
+    """Centres and unit normals of faces drawn in proportion to their weight, and the weight that each stands for."""
+    weight = np.concatenate(weights)
+    if not weight.sum() > 0:
+        return np.zeros((1, 3)), np.zeros((1, 3)), 0.0
+    chosen = rng.choice(len(weight), _SAMPLES, p=weight / weight.sum())
+    corners = np.concatenate([part.corners for part in parts])[chosen]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    lengths = np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), np.finfo(float).tiny)
+    return corners.mean(axis=1), normals / lengths, weight.sum() / _SAMPLES
+
+
+def _rig_light(camera: Camera, name: str, azimuth: float, elevation: float, radiance: float) -> Part:
+    x, y = np.subtract(camera.position, camera.look_at)[:2]
+    around, above = np.arctan2(y, x) + np.radians(azimuth), np.radians(elevation)
+    towards = np.array([np.cos(above) * np.cos(around), np.cos(above) * np.sin(around), np.sin(above)])
+    return _triangle(name, _LIGHT_DISTANCE * towards, towards, _LIGHT_EDGE, np.full(3, radiance))
+
+
+def _triangle(name: str, centre: np.ndarray, normal: np.ndarray, edge: float, radiance: np.ndarray) -> Part:
+    """Equilateral, across its normal."""
+    aside = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
+    aside /= np.linalg.norm(aside)
+    angles = np.radians([0, 120, 240])[:, None]
+    corners = np.cos(angles) * aside + np.sin(angles) * np.cross(normal, aside)
+    return _light(name, centre + edge / np.sqrt(3) * corners, np.array([[0, 1, 2]]), radiance)
+
+
+def _light(name: str, vertices: np.ndarray, faces: np.ndarray, radiance: np.ndarray) -> Part:
+    row = np.array([1, 1, 1, 0, 0, 0, 1, *radiance], np.float32)  # white and dull, like the lights of training scenes
+    return Part(name, vertices, faces, np.tile(row, (len(faces), 1)), smooth=False)
+
+
+def _area(edge: float) -> float:
+    return np.sqrt(3) / 4 * edge**2
+
+
+def _dimmed(part: Part, factor: float) -> Part:
+    material = part.material.copy()
+    material[:, EMISSION] *= factor
+    return replace(part, material=material)

@@ -1,0 +1,22 @@
+"""Scenes written in the formats that `rfpp.scene.io.loading` reads back exactly."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from rfpp.scene.io.renderformer_json import save_json
+from rfpp.scene.packed import pack
+from rfpp.scene.spec import Scene
+
+
+def save_scene(scene: Scene, path: str | Path) -> Path:
+    """Write RenderFormer JSON v1.0 with the meshes as OBJ files beside it, or its H5 (.h5); returns the path.
+
+    Raises SceneError for JSON where a material varies over an object's faces, which only H5 holds.
+    """
+    path = Path(path)
+    if path.suffix not in (".h5", ".hdf5"):
+        return save_json(scene, path)
+    from rfpp.scene.io.renderformer_h5 import save_h5  # its library is an extra
+
+    return save_h5(pack(scene), path)

@@ -1,0 +1,1 @@
+"""Random scenes: families that draw objects, materials, backgrounds, lights and cameras."""

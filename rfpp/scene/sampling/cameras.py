@@ -1,0 +1,60 @@
+"""Random cameras."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rfpp.scene.sampling.interval import Interval, freeze_intervals, uniform
+from rfpp.scene.sampling.open_region import OpenSide, draw_target
+from rfpp.scene.spec import Camera
+
+
+@dataclass(frozen=True)
+class CameraSampler:
+    """Cameras on a shell around the scene's centre, looking into the open side of the background.
+
+    Attributes:
+        count: cameras per scene.
+        distance: from the target.
+        target_jitter: displacement of the target from the scene's centre, per axis.
+        up_jitter: displacement of the up vector from +z, per axis.
+        fov: full angle in degrees along the longer image side.
+        elevation: degrees above the horizon, seen from the target.
+        clearance: least distance of a camera to the plane of every panel.
+    """
+
+    count: int
+    distance: Interval
+    target_jitter: Interval
+    up_jitter: Interval
+    fov: Interval
+    elevation: Interval
+    clearance: float
+
+    def __post_init__(self) -> None:
+        freeze_intervals(self)
+
+    def sample(self, rng: np.random.Generator, open_side: OpenSide) -> tuple[Camera, ...]:
+        """`count` independent cameras."""
+        return tuple(self._camera(rng, open_side) for _ in range(self.count))
+
+    def _camera(self, rng: np.random.Generator, open_side: OpenSide) -> Camera:
+        target = draw_target(rng, self.target_jitter)
+        position = open_side.draw_position(
+            rng,
+            target=target,
+            distance=uniform(rng, self.distance),
+            elevation=self.elevation,
+            clearance=self.clearance,
+            others=np.empty((0, 3)),
+            spacing=0.0,
+        )
+        up = np.array([0.0, 0.0, 1.0]) + uniform(rng, self.up_jitter, 3)
+        return Camera(
+            position=tuple(position.tolist()),
+            look_at=tuple(target.tolist()),
+            up=tuple(up.tolist()),
+            fov=uniform(rng, self.fov),
+        )

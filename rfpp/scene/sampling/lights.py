@@ -1,0 +1,80 @@
+"""Random lights: small glowing triangles outside the scene."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rfpp.scene.mesh import Mesh
+from rfpp.scene.sampling.interval import Interval, freeze_intervals, uniform, uniform_integer
+from rfpp.scene.sampling.open_region import OpenSide, draw_target
+from rfpp.scene.spec import Material, SceneObject, Transform
+
+#: RenderFormer's light, an equilateral triangle with edges of 0.087.
+TRIANGLE = ((-0.025, 0.025, 0.025), (0.025, -0.025, 0.025), (0.025, 0.025, -0.025))
+
+
+@dataclass(frozen=True)
+class LightSampler:
+    """White one-triangle objects on a shell above the scene, all within the open side of the background.
+
+    Attributes:
+        count: number of lights.
+        strength: radiance of a light times their number, so that the sum over the lights stays in the interval.
+        scale: of the triangle, per axis.
+        rotation: degrees, per axis.
+        distance: from a target at the scene's centre.
+        target_jitter: displacement of that target per axis.
+        elevation: degrees above the horizon, seen from the target.
+        clearance: least distance of a light's origin to the plane of every panel.
+        spacing: two lights are farther apart than this.
+    """
+
+    count: Interval
+    strength: Interval
+    scale: Interval
+    rotation: Interval
+    distance: Interval
+    target_jitter: Interval
+    elevation: Interval
+    clearance: float
+    spacing: float
+
+    def __post_init__(self) -> None:
+        freeze_intervals(self)
+
+    def sample(self, rng: np.random.Generator, open_side: OpenSide) -> list[SceneObject]:
+        """The lights of one scene, named light_0, light_1, …"""
+        count = uniform_integer(rng, self.count)
+        positions = np.empty((0, 3))
+        for _ in range(count):
+            position = open_side.draw_position(
+                rng,
+                target=draw_target(rng, self.target_jitter),
+                distance=uniform(rng, self.distance),
+                elevation=self.elevation,
+                clearance=self.clearance,
+                others=positions,
+                spacing=self.spacing,
+            )
+            positions = np.concatenate([positions, position[None]])
+        return [self._light(rng, f"light_{i}", position, count) for i, position in enumerate(positions)]
+
+    def _light(self, rng: np.random.Generator, name: str, position: np.ndarray, count: int) -> SceneObject:
+        transform = Transform(
+            translation=tuple(position.tolist()),
+            rotation=tuple(uniform(rng, self.rotation, 3).tolist()),
+            scale=tuple(uniform(rng, self.scale, 3).tolist()),
+            normalize=False,
+        )
+        # Emitters keep a white diffuse lobe, as in RenderFormer's scenes.
+        material = Material(
+            diffuse=(1.0,) * 3, specular=(0.0,) * 3, roughness=1.0, emissive=(uniform(rng, self.strength) / count,) * 3
+        )
+        return SceneObject(name=name, mesh=triangle_mesh(), material=material, transform=transform)
+
+
+def triangle_mesh() -> Mesh:
+    """The one-triangle mesh that every light is a copy of."""
+    return Mesh(np.array(TRIANGLE), np.array([[0, 1, 2]]))

@@ -1,0 +1,49 @@
+"""Random materials."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from rfpp.scene.sampling.interval import Interval, freeze_intervals, uniform
+from rfpp.scene.spec import Material
+
+
+@dataclass(frozen=True)
+class MaterialSampler:
+    """One material per object, as RenderFormer draws them; all quantities are independent.
+
+    Attributes:
+        reflectance: diffuse plus specular albedo, before the diffuse part is coloured.
+        specular_share: the part of it that is specular, which is white; the rest is diffuse.
+        diffuse_colour: factor on the diffuse part, drawn per channel.
+        roughness: log-uniform in roughness + `roughness_shift`, so that mirrors are common but not the rule.
+        smooth_shading: the probability of smooth shading.
+    """
+
+    reflectance: Interval
+    specular_share: Interval
+    diffuse_colour: Interval
+    roughness: Interval
+    roughness_shift: float
+    smooth_shading: float
+
+    def __post_init__(self) -> None:
+        freeze_intervals(self)
+
+    def sample(self, rng: np.random.Generator) -> Material:
+        """A non-emissive material that reflects no more light than it receives."""
+        reflectance = uniform(rng, self.reflectance)
+        specular = uniform(rng, self.specular_share) * reflectance
+        diffuse = (reflectance - specular) * uniform(rng, self.diffuse_colour, 3)
+        low, high = (math.log(limit + self.roughness_shift) for limit in self.roughness)
+        # exp and log need not cancel to the last bit at the ends.
+        roughness = float(np.clip(math.exp(rng.uniform(low, high)) - self.roughness_shift, *self.roughness))
+        return Material(
+            diffuse=tuple(diffuse.tolist()),
+            specular=(specular,) * 3,
+            roughness=roughness,
+            smooth_shading=bool(rng.random() < self.smooth_shading),
+        )

@@ -1,0 +1,169 @@
+"""Making a library of objects: what is missing is prepared, in any number of processes, killed and resumed at will."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from rfpp.errors import SceneError, UserError
+from rfpp.files import write_atomically
+from rfpp.scene.sampling.objects.library import (
+    INDEX,
+    Entry,
+    Index,
+    Library,
+    LibraryObject,
+    Prepared,
+    Rejected,
+    encoded_mesh,
+    mesh_path,
+    record_path,
+)
+from rfpp.scene.sampling.objects.preparation import Preparation, RejectionError
+from rfpp.scene.sampling.objects.prepared import Original, PreparedObjects
+
+#: Yields (item, what the job returned or raised) in the order of the items, as `RenderFarm.map` does.
+Map = Callable[[Callable[[Any], Any], Iterable[Any]], Iterator[tuple[Any, Any]]]
+
+
+class Record(Entry):
+    """What became of an original of this stamp under this preparation."""
+
+    stamp: str
+    preparation: dict[str, Any]
+    outcome: Prepared | Rejected
+
+
+def one_by_one(job: Callable[[Any], Any], items: Iterable[Any]) -> Iterator[tuple[Any, Any]]:
+    """The plain `Map`, in this process."""
+    return ((item, job(item)) for item in items)
+
+
+def prepare(source: PreparedObjects, map: Map, progress: Callable[[int, int], None]) -> Library:
+    """Make the source's library, or what is missing of it or has changed; `progress(done, total)` counts originals.
+
+    Raises:
+        UserError: the originals cannot be had, a file cannot be written, or fewer than two objects came out.
+    """
+    originals = source.originals()
+    job = PrepareOriginal(source.library_root, source.preparation)
+    outcomes = {o.id: record.outcome for o in originals if (record := job.record(o)) is not None}
+    missing = [o for o in originals if o.id not in outcomes]
+    progress(len(outcomes), len(originals))
+    for original, result in map(job, source.fetched(missing)):
+        outcomes[original.id] = _outcome(original, result)
+        progress(len(outcomes), len(originals))
+    index = _index(source, [outcomes[o.id] for o in originals])
+    content = json.dumps(index.model_dump(), indent=1, ensure_ascii=False) + "\n"
+    write_atomically(source.library_root / INDEX, content.encode())
+    return Library.load(source.library_root)
+
+
+@dataclass(frozen=True)
+class PrepareOriginal:
+    """Prepares one original and writes down what became of it; picklable."""
+
+    root: Path
+    preparation: Preparation
+
+    def __call__(self, original: Original) -> Prepared | Rejected:
+        """Returns what it has written. Raises UserError if that fails."""
+        outcome = self._outcome(original)
+        record = Record(stamp=original.stamp, preparation=asdict(self.preparation), outcome=outcome)
+        write_atomically(record_path(self.root, original.id), record.model_dump_json().encode())
+        return outcome
+
+    def record(self, original: Original) -> Record | None:
+        """What was written, if it still holds and its mesh is there."""
+        try:
+            record = Record(**json.loads(record_path(self.root, original.id).read_bytes()))
+        except (OSError, ValueError, TypeError):  # none, or damaged
+            return None
+        outcome = record.outcome
+        if (record.stamp, record.preparation) != (original.stamp, asdict(self.preparation)):
+            return None
+        if isinstance(outcome, Prepared):
+            path = mesh_path(self.root, original.id)
+            if not path.is_file() or _sha256(path) != outcome.mesh_sha256:
+                return None
+        return record
+
+    def _outcome(self, original: Original) -> Prepared | Rejected:
+        if original.path is None:
+            return Rejected(id=original.id, sha256=None, reason="not available", detail="it could not be downloaded")
+        try:
+            sha256 = _sha256(original.path)
+        except OSError as error:
+            detail = error.strerror or str(error)
+            return Rejected(id=original.id, sha256=None, reason="unreadable", detail=detail)
+        try:
+            prepared = self.preparation(original.path)
+        except RejectionError as error:
+            return Rejected(id=original.id, sha256=sha256, reason=error.reason, detail=error.detail)
+        content = encoded_mesh(prepared.mesh)
+        write_atomically(mesh_path(self.root, original.id), content)
+        return Prepared(
+            id=original.id,
+            sha256=sha256,
+            mesh_sha256=hashlib.sha256(content).hexdigest(),
+            faces_before=prepared.faces_before,
+            faces=len(prepared.mesh),
+            watertight=prepared.watertight,
+        )
+
+
+def _outcome(original: Original, result: Any) -> Prepared | Rejected:
+    """A job's result; one that took its process down is no record, so that it is tried again next time."""
+    if isinstance(result, UserError):
+        raise result
+    if isinstance(result, Exception):
+        detail = f"{type(result).__name__}: {result}".splitlines()[0]
+        return Rejected(id=original.id, sha256=None, reason="crashed", detail=detail)
+    return result
+
+
+def _index(source: PreparedObjects, outcomes: list[Prepared | Rejected]) -> Index:
+    """The library's index: equal meshes once, and every object in its part."""
+    first: dict[str, str] = {}
+    prepared: list[Prepared] = []
+    rejected: list[Rejected] = []
+    for outcome in outcomes:
+        if isinstance(outcome, Rejected):
+            rejected.append(outcome)
+        elif (twin := first.setdefault(outcome.mesh_sha256, outcome.id)) != outcome.id:
+            detail = f"the same mesh as {twin}"
+            rejected.append(Rejected(id=outcome.id, sha256=outcome.sha256, reason="duplicate", detail=detail))
+        else:
+            prepared.append(outcome)
+    reasons = Counter(item.reason for item in rejected)
+    if len(prepared) < 2:
+        why = ", ".join(f"{count} {reason}" for reason, count in reasons.most_common()) or "none"
+        raise SceneError(
+            f"{source.library_root}: {len(prepared)} of {len(outcomes)} meshes became objects (rejected: {why}), and "
+            "two are needed, one for training and one for test scenes: bring more or change scene.objects.preparation"
+        )
+    held_out = _held_out([item.id for item in prepared], source.held_out)
+    parts = {True: "held_out", False: "train"}
+    objects = [LibraryObject(**item.model_dump(), part=parts[item.id in held_out]) for item in prepared]
+    counts = dict(Counter(item.part for item in objects)) | {reason: reasons[reason] for reason in sorted(reasons)}
+    return Index(version=1, settings=source.settings(), counts=counts, objects=tuple(objects), rejected=tuple(rejected))
+
+
+def _held_out(ids: list[str], share: float) -> set[str]:
+    """The ids whose hash, as a number in [0, 1), is below `share`, whatever other ids there are.
+
+    Only that the lowest is always held out and the highest never, so that each part has an object.
+    """
+    numbers = {i: int.from_bytes(hashlib.sha256(i.encode()).digest()[:8], "big") / 2**64 for i in ids}
+    ordered = sorted(ids, key=numbers.__getitem__)
+    return {ordered[0], *(i for i in ordered if numbers[i] < share)} - {ordered[-1]}
+
+
+def _sha256(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

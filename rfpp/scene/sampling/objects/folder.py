@@ -1,0 +1,61 @@
+"""Objects from a folder tree of mesh files."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from rfpp.errors import SceneError
+from rfpp.scene.io.mesh_files import MESH_SUFFIXES
+from rfpp.scene.sampling.objects.prepared import Original, PreparedObjects
+
+
+@dataclass(frozen=True)
+class FolderObjects(PreparedObjects):
+    """Every OBJ, PLY, STL, glTF or GLB file in a folder or below it is one object, called by its path there.
+
+    Attributes:
+        folder: of the files; after preparation it is not needed any more. Its name is the library's.
+    """
+
+    folder: str | None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not self.folder:
+            raise SceneError("scene.objects.folder is not given: add scene.objects.folder=/my/meshes")
+
+    @property
+    def name(self) -> str:
+        return self._path.name
+
+    @property
+    def _path(self) -> Path:
+        return Path(self.folder).expanduser().absolute()
+
+    def originals(self) -> list[Original]:
+        """Files are told apart from changed ones by size and time."""
+        if not self._path.is_dir():
+            raise SceneError(f"{self._path}: there is no such folder: correct scene.objects.folder")
+        files = sorted(p for p in self._path.rglob("*") if p.suffix.lower() in MESH_SUFFIXES and p.is_file())
+        if not files:
+            raise SceneError(f"{self._path}: holds no mesh: give a folder of {', '.join(MESH_SUFFIXES)} files")
+        return [self._original(path) for path in files]
+
+    def _original(self, path: Path) -> Original:
+        status = path.stat()
+        return Original(path.relative_to(self._path).as_posix(), f"{status.st_size} {status.st_mtime_ns}")
+
+    def fetched(self, originals: Iterable[Original]) -> Iterator[Original]:
+        return (replace(original, path=self._path / original.id) for original in originals)
+
+    def origin(self) -> dict[str, Any]:
+        return {"folder": self.name}
+
+    def is_prepared(self) -> bool:
+        """Also whether the folder, if it is here, holds the same files as when the library was made."""
+        if not super().is_prepared():
+            return False
+        return not self._path.is_dir() or {original.id for original in self.originals()} == self.library().ids

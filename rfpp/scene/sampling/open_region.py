@@ -1,0 +1,72 @@
+"""The open side of a background: the convex region in front of its floor and walls."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from rfpp.errors import SceneError
+from rfpp.scene.sampling.interval import Interval, uniform
+
+_ATTEMPTS = 2000
+
+
+@dataclass(frozen=True, eq=False)
+class OpenSide:
+    """Half-spaces, one per panel, the floor first; panels count as endless.
+
+    The region is convex: what stands in it is hidden from nothing else in it by a panel. So cameras and lights that
+    are drawn here see their target whatever the tilt of the walls.
+
+    Attributes:
+        normals: [P, 3] unit normals that point into the region.
+        offsets: [P]; a point p is in front of panel i if normals[i]·p > offsets[i].
+    """
+
+    normals: Float[np.ndarray, "panels 3"]
+    offsets: Float[np.ndarray, " panels"]
+
+    def distances(self, points: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch panels"]:
+        """Signed distances of the points to every panel's plane, positive in front."""
+        return points @ self.normals.T - self.offsets
+
+    def draw_position(
+        self,
+        rng: np.random.Generator,
+        target: Float[np.ndarray, 3],
+        distance: float,
+        elevation: Interval,
+        clearance: float,
+        others: Float[np.ndarray, "count 3"],
+        spacing: float,
+    ) -> Float[np.ndarray, 3]:
+        """A position at `distance` from `target`, in a direction uniform over the part of the sphere that is allowed.
+
+        Allowed are directions with an elevation (degrees above the horizon, seen from the target) in the interval
+        that lead to a point at least `clearance` in front of every panel and more than `spacing` away from `others`.
+
+        Raises:
+            SceneError: nothing is allowed.
+        """
+        low, high = np.sin(np.radians(elevation))
+        for _ in range(_ATTEMPTS):
+            height, azimuth = rng.uniform(low, high), rng.uniform(0, 2 * np.pi)  # equal areas (Archimedes)
+            level = np.sqrt(1 - height**2)
+            position = target + distance * np.array([level * np.cos(azimuth), level * np.sin(azimuth), height])
+            if (self.distances(position) > clearance).all() and not _any_within(spacing, position, others):
+                return position
+        raise SceneError(
+            f"no position {distance:.3g} from {np.round(target, 3).tolist()} lies in front of the background and "
+            f"{spacing:g} from {len(others)} others: widen the elevation or lower clearance, spacing or count"
+        )
+
+
+def draw_target(rng: np.random.Generator, jitter: Interval) -> np.ndarray:
+    """[3] the point that a camera or light is aimed at: the scene's centre, displaced along each axis."""
+    return uniform(rng, jitter, 3)
+
+
+def _any_within(spacing: float, position: np.ndarray, others: np.ndarray) -> bool:
+    return bool((np.linalg.norm(others - position, axis=1) <= spacing).any())

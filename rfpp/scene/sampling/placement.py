@@ -1,0 +1,109 @@
+"""Where objects stand: rotations and positions without intersections."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from rfpp.errors import SceneError
+from rfpp.scene.mesh import Mesh
+from rfpp.scene.sampling.interval import Interval, freeze_intervals, uniform
+from rfpp.scene.sampling.open_region import OpenSide
+from rfpp.scene.sampling.sizes import SizeSampler
+from rfpp.scene.spec import Transform
+from rfpp.scene.triangles import rotation_matrix
+
+#: Objects stay inside [-0.5, 0.5]^3.
+_HALF_EXTENT = 0.5
+_SHRINKS = 60
+
+
+@dataclass(frozen=True)
+class Placement:
+    """Positions by rejection, the largest object first.
+
+    Attributes:
+        sizes: of the objects, where there is room for them.
+        rotation: degrees about each axis.
+        floating: the probability that an object floats above the floor instead of resting on it.
+        gap: distance of a resting object's lowest vertex to the floor.
+        margin: least distance between the bounding boxes of two objects, and between an object and a wall.
+        attempts: positions tried before an object is shrunk.
+        shrink: factor on its size when all of them failed.
+    """
+
+    sizes: SizeSampler
+    rotation: Interval
+    floating: float
+    gap: float
+    margin: float
+    attempts: int
+    shrink: float
+
+    def __post_init__(self) -> None:
+        freeze_intervals(self)
+
+    def sample(self, rng: np.random.Generator, meshes: Sequence[Mesh], open_side: OpenSide) -> list[Transform]:
+        """One transform for each normalised mesh, in their order.
+
+        Raises:
+            SceneError: a mesh found no room however small.
+        """
+        radii = self.sizes.sample(rng, len(meshes))
+        boxes = np.empty((0, 2, 3))
+        transforms: list[Transform | None] = [None] * len(meshes)
+        for i in np.argsort(-radii, kind="stable"):
+            transforms[i], box = self._placed(rng, meshes[i], radii[i], open_side, boxes)
+            boxes = np.concatenate([boxes, box[None]])
+        return transforms
+
+    def _placed(
+        self, rng: np.random.Generator, mesh: Mesh, radius: float, open_side: OpenSide, boxes: np.ndarray
+    ) -> tuple[Transform, np.ndarray]:
+        """A transform that keeps clear of the panels and of the boxes [N, 2, 3], and the world box [2, 3] it fills."""
+        rotation = uniform(rng, self.rotation, 3)
+        floats = rng.random() < self.floating
+        rotated = mesh.vertices @ rotation_matrix(tuple(rotation)).T
+        unit_box = np.stack([rotated.min(axis=0), rotated.max(axis=0)])
+        unit_reach = (rotated @ open_side.normals.T).min(axis=0)  # [P] the vertex closest to each panel
+        scale = 2 * radius  # a normalised mesh has radius 0.5
+        for _ in range(_SHRINKS):
+            box, reach = scale * unit_box, scale * unit_reach
+            centres = self._candidates(rng, box, reach, open_side, floats)
+            fits = self._fits(centres, box, reach, open_side, boxes)
+            if fits.any():
+                centre = centres[fits.argmax()]
+                transform = Transform(
+                    translation=tuple(centre.tolist()),
+                    rotation=tuple(rotation.tolist()),
+                    scale=(float(scale),) * 3,
+                    normalize=False,  # the source has normalised it, and the boxes are those of the mesh as it is
+                )
+                return transform, box + centre
+            scale *= self.shrink
+        raise SceneError("an object found no room: lower Placement.sizes, margin or the number of objects")
+
+    def _candidates(
+        self, rng: np.random.Generator, box: np.ndarray, reach: np.ndarray, open_side: OpenSide, floats: bool
+    ) -> np.ndarray:
+        """[attempts, 3] centres with the box inside the cube sideways, resting on the floor or floating above it."""
+        low, high = np.minimum(-_HALF_EXTENT - box[0], 0), np.maximum(_HALF_EXTENT - box[1], 0)
+        centres = rng.uniform(low, high, (self.attempts, 3))
+        normal, offset = open_side.normals[0], open_side.offsets[0]
+        resting = (offset + self.gap - reach[0] - centres[:, :2] @ normal[:2]) / normal[2]
+        if floats:
+            resting = resting + rng.random(self.attempts) * np.maximum(high[2] - resting, 0)
+        centres[:, 2] = resting
+        return centres
+
+    def _fits(
+        self, centres: np.ndarray, box: np.ndarray, reach: np.ndarray, open_side: OpenSide, boxes: np.ndarray
+    ) -> np.ndarray:
+        """[attempts] bool: inside the cube, in front of every wall and clear of every box."""
+        low, high = centres + box[0], centres + box[1]
+        inside = ((low >= -_HALF_EXTENT) & (high <= _HALF_EXTENT)).all(axis=1)
+        in_front = (open_side.distances(centres)[:, 1:] + reach[1:] >= self.margin).all(axis=1)
+        apart = (low[:, None] > boxes[:, 1] + self.margin) | (high[:, None] < boxes[:, 0] - self.margin)
+        return inside & in_front & apart.any(axis=2).all(axis=1)

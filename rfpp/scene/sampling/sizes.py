@@ -1,0 +1,57 @@
+"""How large objects are."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import Float
+
+from rfpp.scene.sampling.interval import Interval, freeze_intervals, uniform
+
+
+@runtime_checkable
+class SizeSampler(Protocol):
+    """Draws the radii of the bounding spheres of the `count` objects of one scene, before any is placed."""
+
+    def sample(self, rng: np.random.Generator, count: int) -> Float[np.ndarray, " count"]: ...
+
+
+@dataclass(frozen=True)
+class SharedSpace:
+    """The more objects, the smaller: log-normal around the radius at which all together fill a share of the cube.
+
+    Attributes:
+        fill: share φ of the unit cube that N spheres of the base radius (3φ / 4πN)^(1/3) would fill.
+        spread: standard deviation of the logarithm of a radius around it.
+        max_radius: upper bound, so that no object hides the whole scene.
+    """
+
+    fill: Interval
+    spread: float
+    max_radius: float
+
+    def __post_init__(self) -> None:
+        freeze_intervals(self)
+
+    def sample(self, rng: np.random.Generator, count: int) -> Float[np.ndarray, " count"]:
+        base_radius = (3 * uniform(rng, self.fill) / (4 * np.pi * count)) ** (1 / 3)
+        return np.minimum(base_radius * np.exp(rng.normal(0.0, self.spread, count)), self.max_radius)
+
+
+@dataclass(frozen=True)
+class UniformRadius:
+    """Independent of the number of objects.
+
+    Attributes:
+        radius: of the bounding spheres.
+    """
+
+    radius: Interval
+
+    def __post_init__(self) -> None:
+        freeze_intervals(self)
+
+    def sample(self, rng: np.random.Generator, count: int) -> Float[np.ndarray, " count"]:
+        return uniform(rng, self.radius, count)

@@ -1,0 +1,165 @@
+"""RenderFormer's H5 training files as a data set: a recipe whose samples are files instead of random scenes.
+
+Images come from the files; G-buffers and their direct light from our caster. A sample is a pure function of its file;
+the names of all files say into which split it falls.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache, cached_property
+from pathlib import Path
+
+import numpy as np
+
+from rfpp.errors import SceneError, ShardError, UserError
+from rfpp.scene.io.renderformer_h5 import image_shape, load_h5, load_images
+from rfpp.shards import tar
+from rfpp.shards.export import look_at
+from rfpp.shards.job import DatasetSettings, MadeScene, SceneTask
+from rfpp.shards.recipe import Recipe, fingerprint_of
+from rfpp.shards.sample import SCHEMA_VERSION, SceneSample, encode
+from rfpp.shards.scene_rays import Stage
+
+
+@dataclass(frozen=True)
+class Import:
+    """The *.h5 files of a folder and what they are for.
+
+    Attributes:
+        folder: holds the files; they must agree in the number of views and in resolution.
+        validation, test: shares of the files for these splits, drawn by a hash of the names, at least one file each
+            unless the share is 0; the rest is for training.
+
+    Raises:
+        UserError: no such folder, no files, or shares that leave none for training.
+    """
+
+    folder: Path
+    validation: float | int
+    test: float | int
+
+    def __post_init__(self) -> None:
+        if not self.folder.is_dir():
+            raise UserError(f"{self.folder}: there is no such folder: give the one with the H5 files to import")
+        if not self.files:
+            raise UserError(f"{self.folder}: holds no *.h5 files: give the folder with the H5 files to import")
+        for split in ("validation", "test"):
+            if not 0 <= getattr(self, split) <= 1:
+                raise UserError(f"the share for {split} is {getattr(self, split)}: use 0 to 1")
+        if not self.splits["train"]:
+            raise UserError(f"{self.folder}: {len(self.files)} files, and none is left for training: lower the shares")
+
+    @cached_property
+    def files(self) -> tuple[Path, ...]:
+        return tuple(sorted(self.folder.glob("*.h5")))
+
+    @cached_property
+    def splits(self) -> Mapping[str, tuple[Path, ...]]:
+        """Split → its files, by name."""
+        drawn = sorted(self.files, key=lambda path: hashlib.sha256(path.name.encode()).digest())
+        ends = [0]
+        for share in (self.validation, self.test):
+            ends.append(ends[-1] + (max(1, round(share * len(drawn))) if share else 0))
+        parts = {"train": drawn[ends[2] :], "validation": drawn[: ends[1]], "test": drawn[ends[1] : ends[2]]}
+        return {split: tuple(sorted(part)) for split, part in parts.items()}
+
+    def recipe(self, data: DatasetSettings) -> Recipe:
+        """The data set of these files, to be made, merged and so on like any other.
+
+        Args:
+            data: name, root, light_samples and scenes_per_shard; the files say the rest.
+
+        Raises:
+            SceneError: naming a file that has no images, or not of the shape of the first.
+        """
+        views, resolution = self._common_shape()
+        listing = "\n".join(f"{path.name} {path.stat().st_size}" for path in self.files)
+        settings = {
+            "schema_version": SCHEMA_VERSION,
+            "data": {"resolution": resolution, "views": views, "light_samples": data.light_samples},
+            "import": {
+                "files": len(self.files),
+                "names_and_sizes": hashlib.sha256(listing.encode()).hexdigest(),
+                "validation": self.validation,
+                "test": self.test,
+            },
+        }
+        return Recipe(
+            name=data.name,
+            root=Path(data.root),
+            splits={split: len(files) for split, files in self.splits.items()},
+            views=views,
+            scenes_per_shard=data.scenes_per_shard,
+            settings=settings,
+            job=ImportJob(self.folder, self.validation, self.test, data.light_samples, fingerprint_of(settings)),
+        )
+
+    def _common_shape(self) -> tuple[int, int]:
+        """Views and resolution of the images in all files."""
+        first = image_shape(self.files[0])
+        for path in self.files:
+            views, height, width = image_shape(path)
+            if height != width:
+                raise SceneError(f"{path}: images of {width} x {height} pixels, and only square ones can be trained on")
+            if (views, height, width) != first:
+                raise SceneError(
+                    f"{path}: {views} views of {height} x {width} pixels, where {self.files[0].name} has {first[0]} of "
+                    f"{first[1]} x {first[2]}: move it to a folder of its own"
+                )
+        return first[:2]
+
+
+@dataclass(frozen=True)
+class ImportJob:
+    """Makes a sample of a file; picklable, so that worker processes can run it, and small, as each task comes with it.
+
+    Attributes:
+        folder, validation, test: of the `Import`.
+        light_samples: as in `DatasetSettings`.
+        fingerprint: of all settings, stored in each sample.
+    """
+
+    folder: Path
+    validation: float | int
+    test: float | int
+    light_samples: int
+    fingerprint: str
+
+    def __call__(self, task: SceneTask) -> MadeScene:
+        """Raises SceneError naming the file: it holds no scene, or textures, or radiance beyond half precision."""
+        path = _listed(self.folder, self.validation, self.test).splits[task.split][task.index]
+        scene, images = load_h5(path), load_images(path)
+        if scene.texture is not None:
+            raise SceneError(
+                f"{path}: texture: varies within triangles, and samples hold one material for each: leave the file out"
+            )
+        digest = hashlib.sha256(path.read_bytes())
+        redraws = {"scene_redraws": 0, "empty_views": 0, "unlit_views": 0}
+        meta = {
+            "family": "imported",
+            "source": path.name,
+            "source_sha256": digest.hexdigest(),
+            "split": task.split,
+            "index": task.index,
+            "redraws": redraws,
+            "settings": self.fingerprint,
+            "cameras": [look_at(*view).model_dump(mode="json") for view in zip(scene.c2w, scene.fov, strict=True)],
+        }
+        seed = np.random.SeedSequence(int.from_bytes(digest.digest()))
+        stage = Stage(scene.triangles)
+        gbuffers = stage.gbuffers(scene.c2w, scene.fov, images.shape[1], self.light_samples, seed)
+        sample = SceneSample(
+            task.key, scene.triangles, scene.c2w, scene.fov, images, gbuffers, stage.object_light(), stage.cells, meta
+        )
+        try:
+            blocks = tar.pack(task.key, encode(sample))
+        except ShardError as error:
+            raise SceneError(f"{path}: {error}") from None
+        return MadeScene(blocks, len(scene.triangles), scene.triangles.num_objects, **redraws)
+
+
+#: A worker lists the folder once, not for every file.
+_listed = cache(Import)

@@ -1,0 +1,51 @@
+"""Views of stored scenes as networks take them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from torch.utils.data import Dataset
+
+from rfpp.batch import SceneViews
+from rfpp.gbuffer.first_hit import stack_channels
+from rfpp.shards.dataset import ShardSplit
+from rfpp.shards.joined import JoinedSplit
+from rfpp.shards.sample import SceneSample, ViewChoice
+
+
+def select_views(sample: SceneSample, views: Sequence[int], channels: Sequence[str]) -> SceneViews:
+    """The chosen views of a stored scene, with the G-buffer channels a network asks for, channels first."""
+    material = sample.triangles.material
+    gbuffer = [stack_channels(sample.gbuffers[v], material, float(sample.fov[v]), channels) for v in views]
+    return SceneViews(
+        key=sample.key,
+        triangles=sample.triangles,
+        c2w=sample.c2w[list(views)],
+        fov=sample.fov[list(views)],
+        gbuffer=np.stack(gbuffer),
+        image=np.ascontiguousarray(sample.images[list(views)].transpose(0, 3, 1, 2)),
+        object_light=sample.object_light,
+        cells=sample.cells,
+    )
+
+
+def read_views(
+    split: ShardSplit | JoinedSplit, index: int, channels: Sequence[str], choose: ViewChoice | None = None
+) -> SceneViews:
+    """`select_views` of the scene at `index`; only what these views and channels need is decoded."""
+    sample = split.read(index, choose, channels)
+    return select_views(sample, range(len(sample.fov)), channels)
+
+
+class AllViews(Dataset):
+    """Every view of each scene, as stored: for validation and evaluation."""
+
+    def __init__(self, split: ShardSplit | JoinedSplit, channels: Sequence[str]):
+        self.split, self.channels = split, tuple(channels)
+
+    def __len__(self) -> int:
+        return len(self.split)
+
+    def __getitem__(self, index: int) -> SceneViews:
+        return read_views(self.split, index, self.channels)

@@ -1,0 +1,105 @@
+"""Look at it: fixed validation scenes after every validation, beside their references and bounce by bounce."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import lightning as L
+import numpy as np
+import torch
+from torch import Tensor, distributed
+
+from rfpp.batch import RaggedBatch
+from rfpp.imaging.panels import Picture, panel, save_png, signed_error_map, tone_mapped
+from rfpp.imaging.radiance import log_decode
+from rfpp.training.tracking.run_logger import RunLogger
+
+#: The pictures of a scene, by the sheet and the column they are for.
+Row = dict[str, dict[str, Picture]]
+
+
+class ImagePanels(L.Callback):
+    """Writes sheets into a folder, a row for each scene, and logs them as artifacts in `panels/`.
+
+    (MLflow's image charts list all of a run's parameters above the image.)
+
+    `panels-…`: reference, prediction, signed error and, for networks that are given it, the albedo.
+    `bounces-…`: the image decoded after each application of the transport operator, for networks that have one.
+
+    Args:
+        folder: where the sheets are kept, as `panels-000150.png` after step 150.
+        scenes: how many validation scenes to show, first view each.
+    """
+
+    def __init__(self, folder: str, scenes: int):
+        self.folder, self.scenes = Path(folder), scenes
+        self._rows: dict[int, Row] = {}
+
+    def on_validation_start(self, trainer: L.Trainer, module: L.LightningModule) -> None:
+        self._rows = {}
+
+    def on_validation_batch_end(
+        self,
+        trainer: L.Trainer,
+        module: L.LightningModule,
+        outputs: Mapping[str, Tensor],
+        batch: RaggedBatch,
+        batch_index: int,
+        dataloader_index: int = 0,
+    ) -> None:
+        scene = batch_index * trainer.world_size + trainer.global_rank  # validation goes round the ranks
+        if scene < self.scenes:
+            with trainer.precision_plugin.forward_context():
+                self._rows[scene] = pictures(module.network, batch, outputs["radiance"])
+
+    def on_validation_end(self, trainer: L.Trainer, module: L.LightningModule) -> None:
+        rows = _of_all_ranks(self._rows)
+        if trainer.fast_dev_run or not (trainer.is_global_zero and rows):
+            return
+        for sheet in rows[0]:
+            columns = {name: [row[sheet][name] for row in rows] for name in rows[0][sheet]}
+            path = save_png(panel(columns), self.folder / f"{sheet}-{trainer.global_step:06d}.png")
+            for logger in trainer.loggers:
+                if isinstance(logger, RunLogger):
+                    logger.log_file(path, "panels")
+
+
+@torch.no_grad()
+def pictures(network: torch.nn.Module, batch: RaggedBatch, radiance: Tensor) -> Row:
+    """What is shown of a batch's first scene, seen by its first camera.
+
+    Args:
+        network: in evaluation mode.
+        radiance: [B, V, 3, H, W] its prediction.
+    """
+    reference, prediction = _image(batch.image), _image(radiance)
+    row = {
+        "panels": {
+            "reference": tone_mapped(reference),
+            "prediction": tone_mapped(prediction),
+            "blue: too dark, red: too bright": signed_error_map(prediction, reference),
+        }
+    }
+    if network.gbuffer_channels[:1] == ("albedo",):
+        row["panels"]["albedo"] = tone_mapped(_image(batch.gbuffer[:, :, :3]))
+    if network.iterations:
+        states, _ = network.bounces(batch, network.iterations)
+        row["bounces"] = {f"after {k} bounces": tone_mapped(_image(log_decode(s))) for k, s in enumerate(states)}
+        row["bounces"]["reference"] = row["panels"]["reference"]
+    return row
+
+
+def _image(images: Tensor) -> np.ndarray:
+    """[B, V, 3, H, W] → the first, [H, W, 3]."""
+    return images[0, 0].float().clamp_min(0).permute(1, 2, 0).cpu().numpy()
+
+
+def _of_all_ranks(rows: dict[int, Row]) -> Sequence[Row]:
+    """Every rank's rows in the order of the scenes; on rank 0 alone, where there are several."""
+    everyone = [rows]
+    if distributed.is_available() and distributed.is_initialized():
+        everyone = [None] * distributed.get_world_size() if distributed.get_rank() == 0 else None
+        distributed.gather_object(rows, everyone)
+    merged = {scene: row for of_rank in everyone or [] for scene, row in of_rank.items()}
+    return [merged[scene] for scene in sorted(merged)]

@@ -1,0 +1,78 @@
+"""What can be looked at: the image, the light after each transport, and the G-buffers."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from rfpp.gbuffer.first_hit import CELL_CHANNELS, CHANNELS, COLOUR_CHANNELS
+from rfpp.imaging.panels import distinct_colours, false_colours
+from rfpp.imaging.tone_maps import ToneMap
+from rfpp.inference.gbuffers import GBufferSource
+from rfpp.inference.renderer import Renderer
+from rfpp.scene.packed import PackedScene
+
+Picture = UInt8[np.ndarray, "h w 3"]
+Size = tuple[int, int]
+
+
+class Shown(ABC):
+    """A kind of picture, of a scene with one camera."""
+
+    @abstractmethod
+    def picture(self, scene: PackedScene, size: Size, tone_map: ToneMap) -> Picture:
+        """(height, width) pixels."""
+
+
+@dataclass(frozen=True)
+class Rendered(Shown):
+    """What the network renders.
+
+    Attributes:
+        transports: how often its operator moves light; None: as often as it was trained for.
+    """
+
+    renderer: Renderer
+    transports: int | None = None
+
+    def picture(self, scene: PackedScene, size: Size, tone_map: ToneMap) -> Picture:
+        [radiance] = self.renderer.views(scene, size, transports=self.transports)
+        return tone_map(radiance)
+
+
+@dataclass(frozen=True)
+class Channel(Shown):
+    """A G-buffer."""
+
+    name: str
+    source: GBufferSource
+    light_samples: int = 16
+
+    def picture(self, scene: PackedScene, size: Size, tone_map: ToneMap) -> Picture:
+        return channel_picture(self.source.of(scene, *size, self.light_samples)(0), self.name, tone_map)
+
+
+def channel_picture(values: Float[np.ndarray, "c h w"], name: str, tone_map: ToneMap) -> Picture:
+    """Colours, directions, places and cells as colours, numbers in false colours; depth relative to the farthest."""
+    pixels = np.moveaxis(values, 0, -1)
+    if name in COLOUR_CHANNELS:
+        return tone_map(pixels)
+    if name in CELL_CHANNELS:
+        return distinct_colours(pixels[..., 0].astype(int))  # of several rays the first
+    if CHANNELS[name] == 1:
+        return false_colours(pixels[..., 0] / max(pixels.max(), 1e-9) if name == "depth" else pixels[..., 0])
+    hit = (pixels != 0).any(axis=-1, keepdims=True)
+    return np.where(hit, np.clip(127.5 * (pixels + 1), 0, 255), 0).astype(np.uint8)
+
+
+def everything(renderer: Renderer) -> dict[str, Shown]:
+    """By the names that people choose from."""
+    transports = renderer.network.iterations
+    return (
+        {"image": Rendered(renderer)}
+        | {f"light after {k} transports": Rendered(renderer, k) for k in range(transports + 1) if transports}
+        | {name.replace("_", " "): Channel(name, GBufferSource([name])) for name in CHANNELS}
+    )

@@ -1,0 +1,55 @@
+"""The invented scenes of the cost benchmark have exactly the sizes they are asked for."""
+
+import numpy as np
+import pytest
+import torch
+
+from rfpp.benchmark.cost.case import LIGHTS, Case, object_sizes
+from rfpp.errors import UserError
+
+
+@pytest.mark.parametrize(("triangles", "objects"), [(25_600, 50), (80_000, 156), (1_600, 3), (5, 5), (7, 1)])
+def test_a_scene_has_exactly_so_many_triangles_and_objects(triangles, objects):
+    batch = Case(triangles, objects, views=2, resolution=8, scenes=2).batch(("albedo", "roughness"), seed=0)
+    assert batch.scenes.lengths == (objects, objects)
+    assert batch.objects.total == len(batch.positions) == 2 * triangles
+    assert sum(batch.objects.lengths[:objects]) == triangles
+    assert min(batch.objects.lengths) >= 1
+    assert batch.gbuffer.shape == (2, 2, 4, 8, 8)
+    assert batch.image.shape == (2, 2, 3, 8, 8)
+
+
+def test_objects_differ_in_size():
+    sizes = object_sizes(25_600, 50, np.random.default_rng(0))
+    assert max(sizes) > 2 * np.median(sizes)
+
+
+def test_lights_are_objects_of_one_triangle_and_nothing_else_shines():
+    batch = Case(triangles=500, objects=20, views=1, resolution=8, scenes=1).batch((), seed=0)
+    shines = batch.material[:, 7:].sum(1) > 0
+    assert shines.sum() == LIGHTS
+    owners = batch.objects.index[shines]
+    assert len(set(owners.tolist())) == LIGHTS
+    assert all(batch.objects.lengths[owner] == 1 for owner in owners)
+
+
+def test_what_a_scene_holds_is_finite_and_of_unit_normals():
+    batch = Case(triangles=3000, objects=10, views=2, resolution=8, scenes=1).batch(("albedo",), seed=0)
+    for values in (batch.positions, batch.normals, batch.material, batch.c2w, batch.gbuffer, batch.image):
+        assert values.isfinite().all()
+    assert (batch.areas > 0).all()
+    torch.testing.assert_close(batch.normals.norm(dim=-1), torch.ones(3000, 3))
+
+
+def test_the_seed_decides():
+    case = Case(triangles=100, objects=5, views=1, resolution=8, scenes=2)
+    first, again, other = (case.batch(("albedo",), seed) for seed in (0, 0, 1))
+    assert torch.equal(first.positions, again.positions) and torch.equal(first.gbuffer, again.gbuffer)
+    assert not torch.equal(first.positions, other.positions)
+    assert not torch.equal(first.positions[:100], first.positions[100:])  # the scenes of a batch
+
+
+@pytest.mark.parametrize("wrong", [{"objects": 101}, {"objects": 0}, {"views": 0}, {"scenes": 0}])
+def test_a_case_that_cannot_be_is_refused(wrong):
+    with pytest.raises(UserError, match="at least"):
+        Case(**{"triangles": 100, "objects": 5, "views": 1, "resolution": 8, "scenes": 1, **wrong})

@@ -1,0 +1,108 @@
+import errno
+import os
+
+import numpy as np
+import pytest
+
+from rfpp.errors import UserError
+from rfpp.imaging.exr import (
+    HALF_MAX,
+    ImageFileError,
+    compact,
+    decode_exr,
+    encode_exr,
+    exr_attributes,
+    read_exr,
+    write_exr,
+)
+
+
+@pytest.fixture
+def layers():
+    rng = np.random.default_rng(0)
+    return {
+        "RGB": rng.lognormal(0, 3, (9, 13, 3)).astype(np.float16),
+        "albedo": rng.random((9, 13, 3)).astype(np.float32),
+        "depth": rng.random((9, 13)).astype(np.float32),
+        "object": rng.integers(0, 2**32 - 1, (9, 13), dtype=np.uint32),
+    }
+
+
+def test_round_trip_is_bit_exact_and_keeps_dtypes(layers):
+    before = {name: layer.copy() for name, layer in layers.items()}
+    decoded = decode_exr(encode_exr(layers))
+    assert decoded.keys() == layers.keys()
+    for name, layer in before.items():
+        assert decoded[name].dtype == layer.dtype
+        np.testing.assert_array_equal(decoded[name], layer)
+        assert layers[name] is not decoded[name] and isinstance(layers[name], np.ndarray), "the input was changed"
+
+
+def test_a_transposed_image_is_written_as_it_looks(layers):
+    transposed = layers["RGB"].transpose(1, 0, 2)
+    np.testing.assert_array_equal(decode_exr(encode_exr({"RGB": transposed}))["RGB"], transposed)
+
+
+def test_attributes_travel_with_the_image(layers):
+    data = encode_exr(layers, {"settings": "samples: 16\nseed: 0"})
+    assert exr_attributes(data)["settings"] == "samples: 16\nseed: 0"
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        {},
+        {"RGB": np.zeros((4, 4, 2), np.float16)},
+        {"RGB": np.zeros((4, 4, 6), np.float16)},
+        {"RGB": np.zeros((4, 4, 3), np.float64)},
+        {"RGB": np.zeros((4, 4, 3), np.float16), "depth": np.zeros((4, 5), np.float32)},
+    ],
+)
+def test_what_the_format_cannot_hold_is_refused(bad):
+    with pytest.raises(ValueError, match="layer"):
+        encode_exr(bad)
+
+
+@pytest.mark.parametrize("kept", [0.0, 0.1, 0.5, 0.99])
+def test_truncated_data_is_one_clear_error(layers, kept):
+    data = encode_exr(layers)
+    with pytest.raises(ImageFileError, match=r"^shard-0007/12\.exr: .*OpenEXR") as caught:
+        decode_exr(data[: int(kept * len(data))], "shard-0007/12.exr")
+    assert "\n" not in str(caught.value)
+
+
+def test_damaged_pixels_are_an_error():
+    data = bytearray(encode_exr({"RGB": np.random.default_rng(0).random((64, 64, 3)).astype(np.float16)}))
+    data[len(data) // 2] ^= 0xFF
+    with pytest.raises(ImageFileError):
+        decode_exr(bytes(data))
+
+
+def test_files_round_trip_and_leave_nothing_else(layers, tmp_path):
+    path = write_exr(tmp_path / "new" / "view.exr", layers)
+    np.testing.assert_array_equal(read_exr(path)["RGB"], layers["RGB"])
+    assert [p.name for p in path.parent.iterdir()] == ["view.exr"]
+
+
+def test_a_missing_file_is_named(tmp_path):
+    with pytest.raises(ImageFileError, match="absent.exr"):
+        read_exr(tmp_path / "absent.exr")
+
+
+def test_a_full_disk_names_the_path_and_keeps_the_old_file(layers, tmp_path, monkeypatch):
+    path = write_exr(tmp_path / "view.exr", {"RGB": layers["RGB"]})
+
+    def full(*_):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "replace", full)
+    with pytest.raises(UserError, match=r"view\.exr.*No space left"):
+        write_exr(path, {"RGB": layers["RGB"] * 2})
+    np.testing.assert_array_equal(read_exr(path)["RGB"], layers["RGB"])
+    assert [p.name for p in tmp_path.iterdir()] == ["view.exr"]
+
+
+def test_what_half_floats_do_not_hold_is_kept_in_single_precision():
+    usual, bright = np.full((2, 2, 3), 3.0, np.float32), np.full((2, 2, 3), 2 * HALF_MAX, np.float32)
+    assert compact(usual).dtype == np.float16
+    np.testing.assert_array_equal(compact(bright), bright)

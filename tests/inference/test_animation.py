@@ -1,0 +1,161 @@
+"""Films: every frame is rendered once, is what the renderer gives for it, and is kept while nothing changes."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from edited_scenes import changed, dimmed, moved, scene
+from networks import checkpoint_info, network
+
+import rfpp.inference.animation
+from rfpp import Renderer
+from rfpp.errors import UserError
+from rfpp.imaging.exr import read_exr
+from rfpp.imaging.tone_maps import SRGB
+from rfpp.inference.animation import Film
+from rfpp.inference.motion.frames import Frames
+from rfpp.reference.cycles import CyclesSettings
+from rfpp.scene.packed import pack
+
+SIZE = (16, 24)
+CYCLES = CyclesSettings(1, 0.0, False, 1, 1, 1, 0.0, 0.0, True, 0.0, 0.0, 1.5, 0, 0)
+
+
+@pytest.fixture(scope="module")
+def renderer():
+    return Renderer(network(), checkpoint_info())
+
+
+@pytest.fixture
+def rendered(renderer, monkeypatch):
+    """Every image that the renderer makes: the poses, in calls."""
+    calls = []
+    views = renderer.views
+
+    def counting(scene, *args, **kwargs):
+        calls.append(len(scene.fov))
+        return views(scene, *args, **kwargs)
+
+    monkeypatch.setattr(renderer, "views", counting)
+    return calls
+
+
+def orbit() -> Frames:
+    still = pack(scene())
+    return Frames(3, lambda number: still.views([number]))
+
+
+def edits() -> Frames:
+    versions = [scene(), moved(scene()), dimmed(moved(scene()))]
+    packed = [pack(version).views([0]) for version in versions]
+    return Frames(3, packed.__getitem__)
+
+
+def make(frames, folder, renderer, light_samples=4, supersampling=2) -> tuple[int, list]:
+    """How many were rendered, and what the progress bar was told."""
+    told = []
+    sampling = {"light_samples": light_samples, "supersampling": supersampling}
+    made = Film(frames, folder, SIZE).render(renderer, sampling, lambda *count: told.append(count))
+    return made, told
+
+
+def test_frames_are_the_renderers_images_and_one_scene_is_encoded_once(renderer, rendered, tmp_path):
+    made, told = make(orbit(), tmp_path, renderer)
+    assert made == 3
+    assert rendered == [3]
+    assert told == [(0, 3), (1, 3), (2, 3), (3, 3)]
+    expected = renderer.render(pack(scene()), SIZE, light_samples=4)
+    for number, image in enumerate(expected):
+        stored = read_exr(tmp_path / f"{number:05d}.exr")["RGB"]
+        np.testing.assert_array_equal(stored, image.astype(np.float16))
+
+
+def test_an_animated_object_is_encoded_anew_and_the_others_are_not(renderer, tmp_path):
+    fresh = Renderer(renderer.network, checkpoint_info())
+    make(edits(), tmp_path, fresh)
+    assert fresh.objects.encoded == 6 + 1 + 1  # all; the one that moved; the light
+
+
+def test_what_is_there_is_not_rendered_again(renderer, rendered, tmp_path):
+    make(orbit(), tmp_path, renderer)
+    times = [file.stat().st_mtime_ns for file in sorted(tmp_path.iterdir())]
+    rendered.clear()
+    assert make(orbit(), tmp_path, renderer) == (0, [])
+    assert rendered == []
+    assert [file.stat().st_mtime_ns for file in sorted(tmp_path.iterdir())] == times
+
+
+@pytest.mark.parametrize("damage", ["deleted", "truncated"])
+def test_an_interrupted_film_goes_on_where_it_was(damage, renderer, rendered, tmp_path):
+    make(orbit(), tmp_path, renderer)
+    lost = tmp_path / "00001.exr"
+    if damage == "deleted":
+        lost.unlink()
+    else:
+        lost.write_bytes(lost.read_bytes()[:-200])
+    rendered.clear()
+    made, told = make(orbit(), tmp_path, renderer)
+    assert made == sum(rendered) == 1
+    assert told == [(1, 3), (2, 3)]
+    assert read_exr(lost)["RGB"].shape == (*SIZE, 3)
+
+
+def test_a_changed_scene_renders_what_changed(renderer, rendered, tmp_path):
+    make(edits(), tmp_path, renderer)
+    rendered.clear()
+    other = changed(
+        scene(), "peak_2", material=moved(scene()).objects[2].material.model_copy(update={"roughness": 0.9})
+    )
+    versions = [pack(v).views([0]) for v in (scene(), other, dimmed(moved(scene())))]
+    assert make(Frames(3, versions.__getitem__), tmp_path, renderer)[0] == 1
+    assert rendered == [1]
+
+
+def test_frames_of_other_settings_or_weights_are_not_kept(renderer, tmp_path):
+    make(orbit(), tmp_path, renderer)
+    assert make(orbit(), tmp_path, renderer, light_samples=5)[0] == 3
+    assert make(orbit(), tmp_path, Renderer(network(seed=1), checkpoint_info()), light_samples=5)[0] == 3
+    assert make(orbit(), tmp_path, renderer, light_samples=5, supersampling=3)[0] == 3
+    film = Film(orbit(), tmp_path, (16, 16))
+    assert film.render(renderer, {"light_samples": 5, "supersampling": 3}, lambda *_: None) == 3
+
+
+def test_what_was_rendered_before_a_mistake_is_kept(renderer, tmp_path):
+    still, broken = pack(scene()), {}
+
+    def at(number):
+        if number in broken:
+            raise UserError(f"scene {number}: is broken")
+        return dataclasses.replace(still.views([number]), triangles=dataclasses.replace(still.triangles))
+
+    film = Film(Frames(3, at), tmp_path, SIZE)
+    broken[2] = True
+    with pytest.raises(UserError, match="scene 2: is broken"):
+        film.render(renderer, {"light_samples": 4, "supersampling": 2}, lambda *_: None)
+    assert (tmp_path / "00000.exr").is_file()
+    assert make(orbit(), tmp_path, renderer)[0] == 2
+
+
+def test_references_are_kept_like_frames_and_stand_beside_the_prediction(renderer, tmp_path, monkeypatch):
+    traced = []
+
+    def path_traced(scenes, size, settings):
+        for one in scenes:
+            traced.append(one)
+            yield renderer.render(one, size, light_samples=4), 0.1
+
+    monkeypatch.setattr(rfpp.inference.animation, "path_traced", path_traced)
+    film = Film(edits(), tmp_path, SIZE)
+    film.render(renderer, {"light_samples": 4, "supersampling": 2}, lambda *_: None)
+    told = []
+    assert film.path_trace(CYCLES, lambda *count: told.append(count)) == len(traced) == 3
+    assert told[0] == (0, 3) and told[-1] == (3, 3)
+    assert film.path_trace(CYCLES, lambda *_: None) == 0
+    assert film.path_trace(dataclasses.replace(CYCLES, samples=2), lambda *_: None) == 3
+
+    assert film.flicker() == 0  # the reference here is the prediction itself
+    for picture, both in zip(film.pictures(SRGB()), film.comparison(SRGB()), strict=True):
+        np.testing.assert_array_equal(both[:, : SIZE[1]], picture)
+        np.testing.assert_array_equal(both[:, SIZE[1] : 2 * SIZE[1]], picture)
+        assert both.shape == (SIZE[0], 3 * SIZE[1], 3)
+        assert both[:, 2 * SIZE[1] :].max() <= 4  # no error

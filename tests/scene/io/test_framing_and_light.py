@@ -1,0 +1,163 @@
+"""Where imported scenes stand, what sees them, and that they are lit as brightly as their files say."""
+
+import warnings
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from known_scenes import look_at, material, pack
+
+from rfpp.errors import SceneError
+from rfpp.gbuffer.direct_light import with_direct_light
+from rfpp.gbuffer.first_hit import first_hit
+from rfpp.gbuffer.light_sampler import LightSampler
+from rfpp.scene.io.framing import default_camera, framed
+from rfpp.scene.io.imported_scene import ImportedScene, Lamp, Part, plain_material
+from rfpp.scene.io.light_rig import USUAL, emitter, irradiance, lit
+from rfpp.scene.io.loading import load_scene
+from rfpp.scene.packed import pack as packed
+from rfpp.scene.spec import Camera
+from rfpp.scene.triangles import EMISSION, SceneTriangles
+
+EXAMPLES = Path(__file__).parents[3] / "data" / "scenes"
+FILE = Path("a.glb")
+CAMERA = Camera(position=(0, -2, 0), look_at=(0, 0, 0), fov=40)
+FLOOR = np.array([[-0.5, -0.5, 0], [0.5, -0.5, 0], [0.5, 0.5, 0], [-0.5, 0.5, 0]])
+
+
+def part(vertices=FLOOR, emission: float = 0.0, name: str = "part") -> Part:
+    faces = np.array([[0, 1, 2], [0, 2, 3]])[: len(vertices) - 2]
+    rows = plain_material(len(faces))
+    rows[:, EMISSION] = emission
+    return Part(name, np.array(vertices, np.float64), faces, rows, smooth=False)
+
+
+def lamp(kind: str = "point", position=(0, 0, 1), direction=(0, 0, -1), strength: float = 1.0) -> Lamp:
+    return Lamp("lamp", kind, np.full(3, strength), np.array(position, float), np.array(direction, float))
+
+
+def quietly(function, *args):
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return function(*args)
+
+
+def test_surfaces_fill_the_box_and_everything_moves_with_them() -> None:
+    camera = Camera(position=(100, 0, 0), look_at=(100, 50, 0), fov=40)
+    far = part(FLOOR * (20, 10, 1) + (100, 50, 7))
+    bulb = part(np.add(FLOOR, (100, 50, 900)), emission=3.0)
+    before = ImportedScene("a", (far, bulb), (lamp(position=(100, 50, 27)), lamp("directional")), (camera,))
+    with pytest.warns(UserWarning, match=r"a\.glb: scaled by 0\.05 and centred, to fit into \[-0\.5, 0\.5\]³"):
+        after = framed(before, FILE)
+    np.testing.assert_allclose(after.parts[0].vertices, FLOOR * (1, 0.5, 1), atol=1e-12)
+    np.testing.assert_allclose(after.parts[1].vertices.mean(axis=0), [0, 0, 893 * 0.05])  # lights may stand outside
+    assert after.parts[1].material[0, EMISSION][0] == 3  # radiance stays
+    np.testing.assert_allclose(after.lamps[0].position, [0, 0, 1])
+    np.testing.assert_allclose([light.strength[0] for light in after.lamps], [0.05**2, 1])
+    np.testing.assert_allclose(after.cameras[0].position, [0, -2.5, -0.35])
+    np.testing.assert_allclose(np.subtract(after.cameras[0].look_at, after.cameras[0].position), [0, 1, 0])
+
+
+@pytest.mark.parametrize(("vertices", "stays"), [(FLOOR, True), (FLOOR * 0.6, True), (FLOOR * 0.4, False),
+                                                 (FLOOR + 0.1, False)])  # fmt: skip
+def test_scenes_made_for_the_box_stay_as_they_are(vertices: np.ndarray, stays: bool) -> None:
+    scene = ImportedScene("a", (part(vertices),))
+    assert (quietly(framed, scene, FILE) is scene) == stays
+
+
+def test_what_has_no_extent_or_is_invisible_is_refused() -> None:
+    with pytest.raises(SceneError, match="no extent"):
+        framed(ImportedScene("a", (part(FLOOR * 0),)), FILE)
+    with pytest.raises(SceneError, match="no surface that a camera can see"):
+        framed(ImportedScene("a", (part(emission=1.0),)), FILE)
+
+
+@pytest.mark.parametrize("shape", [(1, 1, 1), (1, 1, 0.1), (0.1, 0.1, 1), (1, 0.2, 0.2)])
+def test_the_default_camera_sees_the_whole_scene_and_little_else(shape: tuple) -> None:
+    corners = (np.stack(np.meshgrid(*[[-0.5, 0.5]] * 3), -1).reshape(-1, 3) * shape)[[0, 1, 6, 7]]
+    camera = default_camera([part(corners)])
+    pose = look_at(camera.position, camera.look_at).astype(float)
+    seen = (corners - pose[:3, 3]) @ pose[:3, :3]
+    reach = np.abs(seen[:, :2] / seen[:, 2:]).max() / np.tan(np.radians(camera.fov) / 2)
+    assert 0.5 < reach <= 1 + 1e-6
+    assert 30 <= camera.fov <= 60
+    assert camera.position[1] < 0 < camera.position[2]
+
+
+def cast(triangles: SceneTriangles, width: int = 17) -> float:
+    """Mean irradiance, shadows included, that the ray caster finds on what a camera above sees."""
+    pose, fov = look_at((0, 0, 1.2), up=(0, 1, 0)), 30.0
+    sampler = LightSampler(triangles)
+    hits = with_direct_light(first_hit(triangles, pose, fov, width, width), pose, fov, sampler, samples=4)
+    return float(np.pi * hits.light.diffuse[hits.hit].mean())
+
+
+@pytest.mark.parametrize("kind", ["point", "spot", "directional"])
+def test_a_lamp_gives_the_irradiance_it_promises(kind: str) -> None:
+    """On a small floor below: intensity over squared distance, or the irradiance of the sun."""
+    light = emitter(lamp(kind, position=(0, 0, 1.5), strength=2.0))
+    expected = 2.0 if kind == "directional" else 2.0 / 1.5**2
+    triangles = pack((part(FLOOR * 0.02).corners, material(diffuse=0.5)), (light.corners, light.material[0]))
+    assert cast(triangles) == pytest.approx(expected, rel=0.2 if kind == "point" else 0.01)
+
+
+def parts_of(triangles: SceneTriangles) -> list[Part]:
+    return [
+        Part(f"{a}", triangles.positions[a:b].reshape(-1, 3).astype(np.float64),
+             np.arange(3 * (b - a)).reshape(-1, 3), triangles.material[a:b], smooth=False)
+        for a, b in pairwise(triangles.object_offsets)
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ["cornell_box", "roughness_spheres", "many_objects_table"])
+def test_usual_is_what_the_examples_have(name: str) -> None:
+    triangles = packed(load_scene(EXAMPLES / f"{name}.json")).triangles
+    assert USUAL / 1.3 < irradiance(parts_of(triangles)) < USUAL * 1.3
+
+
+def test_the_estimated_irradiance_is_that_of_the_ray_caster() -> None:
+    light = emitter(lamp("directional", direction=(0.6, 0, -0.8), strength=3.0))
+    triangles = pack((part().corners, material(diffuse=0.5)), (light.corners, light.material[0]))
+    assert irradiance(parts_of(triangles)) == pytest.approx(cast(triangles), rel=0.05)
+
+
+def test_dark_scenes_get_three_lights_as_bright_as_training() -> None:
+    scene = ImportedScene("a", (part(),))
+    with pytest.warns(UserWarning, match=r"a\.glb: it has no light: three lights are added"):
+        parts = lit(scene, CAMERA, FILE)
+    assert [p.name for p in parts] == ["part", "key_light", "fill_light", "back_light"]
+    assert USUAL / 3 < irradiance(parts) < USUAL * 3
+    for light in parts[1:]:
+        assert np.linalg.norm(light.vertices.mean(axis=0)) == pytest.approx(2.4)
+
+
+def test_a_glowing_decal_is_no_light_for_a_scene() -> None:
+    decal = part(FLOOR[[0, 1, 2]] * 0.02 + (0, 0, 0.3), emission=1.0)
+    with (
+        pytest.warns(UserWarning, match=r"emissive parts light the scene and are invisible to the camera \(1\)"),
+        pytest.warns(UserWarning, match=r"give it 0\.\d% of the usual light: three lights are added"),
+    ):
+        assert len(lit(ImportedScene("a", (part(), decal)), CAMERA, FILE)) == 5
+
+
+def test_dazzling_lights_are_dimmed_together() -> None:
+    lamps = (lamp(strength=400.0), lamp(position=(0.2, 0, 1), strength=200.0))
+    with pytest.warns(UserWarning, match=r"its lights are made 0\.00\d+ times as bright"):
+        parts = lit(ImportedScene("a", (part(),), lamps), CAMERA, FILE)
+    assert irradiance(parts) == pytest.approx(USUAL, rel=0.01)
+    first, second = (p.material[0, EMISSION][0] for p in parts[1:])
+    assert first == pytest.approx(2 * second, rel=1e-5)
+
+
+@pytest.mark.parametrize("strength", [1.0, 10.0])
+def test_ordinary_lights_are_left_alone(strength: float) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        parts = lit(ImportedScene("a", (part(),), (lamp(strength=strength),)), CAMERA, FILE)
+    np.testing.assert_allclose(parts[1].material, emitter(lamp(strength=strength)).material)
+
+
+def test_spots_and_suns_say_that_they_shine_more_widely() -> None:
+    with pytest.warns(UserWarning, match=r"spot and directional lights became triangles, .* \(2\)"):
+        lit(ImportedScene("a", (part(),), (lamp("spot"), lamp("directional"))), CAMERA, FILE)

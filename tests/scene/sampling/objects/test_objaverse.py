@@ -1,0 +1,137 @@
+import builtins
+import json
+import sys
+import types
+import urllib.error
+
+import numpy as np
+import pytest
+import trimesh
+from mesh_folders import prepared
+
+from rfpp.errors import MissingDependencyError, SceneError, UserError
+from rfpp.scene.sampling.objects.objaverse import ObjaverseObjects
+from rfpp.scene.sampling.objects.object_source import ObjectSource
+from rfpp.scene.sampling.objects.preparation import Preparation
+
+UIDS = [f"{i:032x}" for i in range(1, 6)]
+LISTED = "\n".join(UIDS)
+
+
+class Objaverse(types.ModuleType):
+    """The package with a hub of its own: all uids but the last are known, the one before it was taken down."""
+
+    def __init__(self, cache):
+        super().__init__("objaverse")
+        self.cache = cache
+        self.calls = []
+        self.connected = True
+
+    def load_objects(self, uids, download_processes=1):
+        print("Downloaded 1 / 1 objects")
+        self.calls.append(list(uids))
+        if not self.connected:
+            raise urllib.error.URLError("Name or service not known")
+        paths = {}
+        for uid in uids:
+            if uid == UIDS[3]:
+                raise urllib.error.HTTPError("https://hub", 404, "Not Found", None, None)
+            if uid in UIDS[:4]:
+                paths[uid] = str(self.cache / f"{uid}.glb")
+                trimesh.creation.box((1, 2, 2 + int(uid, 16))).export(paths[uid])
+        return paths
+
+
+@pytest.fixture
+def hub(tmp_path, monkeypatch):
+    module = Objaverse(tmp_path)
+    monkeypatch.setitem(sys.modules, "objaverse", module)
+    return module
+
+
+def source(tmp_path, text=LISTED, name="chairs.txt"):
+    (tmp_path / name).write_text(text)
+    preparation = Preparation(max_faces=100, min_faces=4, non_watertight="reject")
+    return ObjaverseObjects(str(tmp_path / "objects"), 0.3, preparation, str(tmp_path / name))
+
+
+def test_uids_become_a_library_and_those_that_are_gone_are_counted(tmp_path, hub, capsys):
+    objects = source(tmp_path)
+    assert isinstance(objects, ObjectSource)
+    library = prepared(objects)
+    assert objects.library_root.name == "objaverse-chairs"
+    assert [item.id for item in library.index.objects] == UIDS[:3]
+    assert [(item.id, item.reason) for item in library.index.rejected] == [(uid, "not available") for uid in UIDS[3:]]
+    assert library.index.counts["not available"] == 2
+    assert hub.calls[0] == UIDS  # together, and then one by one as one of them failed
+    assert capsys.readouterr().out == ""
+    assert len(objects.sample(np.random.default_rng(0), 60, held_out=True)) == 60
+
+
+def test_what_is_prepared_is_not_downloaded_again_and_a_longer_list_adds_to_it(tmp_path, hub):
+    prepared(source(tmp_path, "\n".join(UIDS[:2])))
+    hub.calls.clear()
+    objects = source(tmp_path, "\n".join(UIDS[:3]) + f"\n{UIDS[0]}  # twice\n\n# the end")
+    assert not objects.is_prepared()
+    library = prepared(objects)
+    assert hub.calls == [UIDS[2:3]]
+    assert len(library.index.objects) == 3
+    hub.calls.clear()
+    assert objects.is_prepared()
+    prepared(objects)
+    assert hub.calls == []
+
+
+def test_a_json_list_is_the_same_list(tmp_path, hub):
+    text, listed = source(tmp_path), source(tmp_path, json.dumps(UIDS[::-1]), "chairs.json")
+    assert text.settings() == listed.settings()
+
+
+def test_without_a_network_one_line_says_so_and_nothing_is_lost(tmp_path, hub):
+    prepared(source(tmp_path, "\n".join(UIDS[:2])))
+    hub.connected = False
+    objects = source(tmp_path)
+    with pytest.raises(UserError, match=r"cannot be downloaded \(Name or service not known\): connect and run"):
+        prepared(objects)
+    hub.connected = True
+    hub.calls.clear()
+    prepared(objects)
+    assert hub.calls[0] == UIDS[2:]
+
+
+def test_without_the_package_one_line_names_it(tmp_path, monkeypatch):
+    real = builtins.__import__
+
+    def missing(name, *args, **kwargs):
+        if name == "objaverse":
+            raise ImportError(name)
+        return real(name, *args, **kwargs)
+
+    monkeypatch.delitem(sys.modules, "objaverse", raising=False)
+    monkeypatch.setattr(builtins, "__import__", missing)
+    with pytest.raises(MissingDependencyError, match=r"pip install -e '\.\[objaverse\]'"):
+        prepared(source(tmp_path))
+
+
+@pytest.mark.parametrize(
+    ("text", "name", "message"),
+    [
+        ("chair", "uids.txt", "'chair' is no Objaverse uid"),
+        ("# nothing", "uids.txt", "names no uid"),
+        ("[1]", "uids.json", "'1' is no Objaverse uid"),
+        ("{", "uids.json", "line 1: malformed JSON"),
+        ("{}", "uids.json", "no JSON list"),
+    ],
+)
+def test_bad_lists_are_named(tmp_path, hub, text, name, message):
+    with pytest.raises(SceneError, match=f"{name}: .*{message}"):
+        source(tmp_path, text, name).originals()
+
+
+def test_a_missing_list_is_named(tmp_path):
+    objects = source(tmp_path)
+    (tmp_path / "chairs.txt").unlink()
+    with pytest.raises(SceneError, match=r"chairs\.txt: cannot be read \(No such file"):
+        objects.originals()
+    with pytest.raises(SceneError, match=r"uids is not given: add scene\.objects\.uids"):
+        ObjaverseObjects("", 0.3, objects.preparation, None)

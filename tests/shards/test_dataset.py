@@ -1,0 +1,142 @@
+"""Reading shards: by plain WebDataset, by index, in a reproducible order; damage is named."""
+
+import json
+import pickle
+import tarfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+import webdataset
+from torch.utils.data import DataLoader
+
+from rfpp.errors import ShardError
+from rfpp.shards import dataset
+from rfpp.shards.dataset import ShardSplit
+from rfpp.shards.sample import SCHEMA_VERSION, decode
+
+
+def flip_byte(path: Path, offset: int) -> None:
+    content = bytearray(path.read_bytes())
+    content[offset] ^= 0xFF
+    path.write_bytes(content)
+
+
+def test_plain_webdataset_reads_the_same_samples(finished):
+    urls = sorted(str(path) for path in finished.root.glob("train-*.tar"))
+    plain = {}
+    for sample in webdataset.WebDataset(urls, shardshuffle=False):
+        members = {name: data for name, data in sample.items() if not name.startswith("__")}
+        plain[sample["__key__"]] = decode(sample["__key__"], members)
+    ours = ShardSplit(finished.root, "train")
+    assert list(plain) == [ours.key(i) for i in range(len(ours))]
+    for i in range(len(ours)):
+        np.testing.assert_array_equal(plain[ours.key(i)].images, ours[i].images)
+        np.testing.assert_array_equal(plain[ours.key(i)].gbuffers[1].depth, ours[i].gbuffers[1].depth)
+
+
+def test_tars_are_plain_and_carry_no_clock_or_owner(finished):
+    with tarfile.open(finished.root / "train-00000.tar") as archive:
+        members = archive.getmembers()
+    assert [m.name for m in members[:3]] == [
+        "train-000000.meta.json", "train-000000.geometry.safetensors", "train-000000.cameras.safetensors"
+    ]  # fmt: skip
+    assert len(members) == 2 * (4 + 2 * 5)
+    assert {(m.mtime, m.uid, m.gid, m.uname) for m in members} == {(0, 0, 0, "")}
+
+
+def test_random_access_over_shard_boundaries(finished):
+    split = ShardSplit(finished.root, "train")
+    assert [split[i].key for i in (4, 0, 2, 1, 3)] == [f"train-00000{i}" for i in (4, 0, 2, 1, 3)]
+    with pytest.raises(IndexError):
+        split[5]
+
+
+def first_item(samples):
+    return samples[0].key
+
+
+def test_works_in_loader_processes_and_after_pickling(finished):
+    split = ShardSplit(finished.root, "train")
+    split[0]  # holds an open file now
+    assert pickle.loads(pickle.dumps(split))[3].key == "train-000003"
+    loader = DataLoader(split, num_workers=2, collate_fn=first_item, multiprocessing_context="spawn")
+    assert list(loader) == [f"train-00000{i}" for i in range(5)]
+
+
+def test_open_files_are_bounded(finished, monkeypatch):
+    monkeypatch.setattr(dataset, "_MAX_OPEN", 2)
+    split = ShardSplit(finished.root, "train")
+    for i in (0, 2, 4, 0, 2):
+        split[i]
+        assert len(split._open) <= 2
+
+
+def test_a_flipped_byte_names_shard_key_and_remedy(copied):
+    split = ShardSplit(copied, "train")
+    entry = split.manifest.samples("train")[3]
+    flip_byte(copied / "train-00001.tar", entry.offset + entry.size // 2)
+    assert split[2].key == "train-000002"  # its neighbour is fine
+    with pytest.raises(ShardError, match=r"train-00001\.tar.*train-000003.*sha256.*delete train-00001\.tar and train"):
+        split[3]
+
+
+def test_a_truncated_shard_is_refused_at_once(copied):
+    path = copied / "train-00000.tar"
+    path.write_bytes(path.read_bytes()[:-700])
+    with pytest.raises(ShardError, match=r"train-00000\.tar.*truncated.*launch/generate\.py"):
+        ShardSplit(copied, "train")
+    assert len(ShardSplit(copied, "test")) == 2
+
+
+def test_a_shard_that_is_cut_while_in_use_is_noticed(copied):
+    split = ShardSplit(copied, "train")
+    split[0]
+    path = copied / "train-00000.tar"
+    with path.open("r+b") as file:
+        file.truncate(path.stat().st_size // 2)
+    with pytest.raises(ShardError, match=r"train-00000\.tar.*train-000001"):
+        split[1]
+
+
+def test_a_missing_shard_is_refused_at_once(copied):
+    (copied / "test-00000.tar").unlink()
+    with pytest.raises(ShardError, match=r"test-00000\.tar.*missing"):
+        ShardSplit(copied, "test")
+
+
+def test_an_index_of_other_data_is_noticed(copied):
+    path = copied / "train-00000.json"
+    path.write_text(path.read_text().replace("train-000001", "train-000007"))
+    split = ShardSplit(copied, "train")  # indices are read when their shard is
+    assert split[2].key == "train-000002"
+    with pytest.raises(ShardError, match=r"train-00000\.json: the index does not have the sha256 in the manifest"):
+        split[0]
+
+
+def test_a_missing_index_is_named(copied):
+    (copied / "train-00001.json").unlink()
+    split = ShardSplit(copied, "train")
+    with pytest.raises(ShardError, match=r"train-00001\.json: the index cannot be read \(No such file.*delete train"):
+        split[3]
+
+
+@pytest.mark.parametrize("text", [f'{{"schema_version": {SCHEMA_VERSION}}}', "[]", "not json", '{"name": 3}'])
+def test_a_broken_manifest_is_named(copied, text):
+    (copied / "manifest.json").write_text(text)
+    with pytest.raises(ShardError, match=r"manifest\.json.*not a data set manifest"):
+        ShardSplit(copied, "train")
+
+
+def test_another_schema_version_is_refused(copied):
+    path = copied / "manifest.json"
+    path.write_text(json.dumps({**json.loads(path.read_text()), "schema_version": SCHEMA_VERSION + 1}))
+    with pytest.raises(ShardError, match=f"schema version {SCHEMA_VERSION + 1}, this code reads {SCHEMA_VERSION}"):
+        ShardSplit(copied, "train")
+
+
+def test_no_data_and_no_such_split_say_what_to_do(finished, tmp_path):
+    with pytest.raises(ShardError, match=r"no finished data set.*launch/generate\.py"):
+        ShardSplit(tmp_path, "train")
+    with pytest.raises(ShardError, match="no split 'holdout': choose from test, train, train_newviews"):
+        ShardSplit(finished.root, "holdout")

@@ -1,0 +1,109 @@
+"""The files a run goes on from: whole or not at all, and the newest sound one is found."""
+
+import errno
+import os
+from dataclasses import replace
+
+import pytest
+import torch
+from networks import checkpoint_info
+
+from rfpp.checkpoint.loading import CHECKPOINT_KEY
+from rfpp.errors import CheckpointError, UserError
+from rfpp.training.checkpoint_files import (
+    AUTO,
+    AtomicCheckpointIO,
+    checkpoint_to_resume,
+    find_defect,
+    keep_newest,
+    point_at,
+    step_file,
+    step_files,
+)
+
+INFO = checkpoint_info(model={"width": 3})
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """Three checkpoints."""
+    for step in (1, 20, 300):
+        content = {"state_dict": {"w": torch.arange(5000.0) + step}, CHECKPOINT_KEY: INFO.to_dict()}
+        AtomicCheckpointIO().save_checkpoint(content, step_file(tmp_path, step))
+    return tmp_path
+
+
+def flip(path, at: int) -> None:
+    content = bytearray(path.read_bytes())
+    content[at] ^= 1
+    path.write_bytes(content)
+
+
+def damage(path, how: str) -> None:
+    size = path.stat().st_size
+    if how == "flipped bit":
+        flip(path, size // 2)
+    else:
+        path.write_bytes(path.read_bytes()[: {"empty": 0, "half": size // 2, "but the last byte": size - 1}[how]])
+
+
+def test_the_newest_is_resumed(folder):
+    assert checkpoint_to_resume(AUTO, folder, INFO.model) == step_file(folder, 300)
+    assert checkpoint_to_resume(AUTO, folder / "new", INFO.model) is None
+    assert checkpoint_to_resume(None, folder, INFO.model) is None
+    assert checkpoint_to_resume(str(step_file(folder, 20)), folder, INFO.model) == step_file(folder, 20)
+
+
+@pytest.mark.parametrize("how", ["flipped bit", "empty", "half", "but the last byte"])
+def test_a_damaged_one_is_passed_over_by_name(folder, how):
+    damage(step_file(folder, 300), how)
+    with pytest.warns(UserWarning, match=r"step-00000300\.ckpt: .*; going on from the one before"):
+        assert checkpoint_to_resume(AUTO, folder, INFO.model) == step_file(folder, 20)
+    with pytest.raises(CheckpointError, match=r"step-00000300\.ckpt: .*: choose another checkpoint"):
+        checkpoint_to_resume(str(step_file(folder, 300)), folder, INFO.model)
+
+
+@pytest.mark.filterwarnings("ignore::UserWarning")
+def test_a_run_does_not_start_anew_where_all_are_damaged(folder):
+    for path in step_files(folder):
+        damage(path, "half")
+    with pytest.raises(CheckpointError, match="none of the 3 checkpoints can be read: start anew with checkpoint=null"):
+        checkpoint_to_resume(AUTO, folder, INFO.model)
+
+
+def test_another_network_is_refused(folder):
+    other = replace(INFO, model={"width": 4})
+    with pytest.raises(CheckpointError, match="of another network than this command's `model`"):
+        checkpoint_to_resume(AUTO, folder, other.model)
+
+
+def test_a_missing_one_is_named(folder):
+    with pytest.raises(CheckpointError, match="gone.ckpt: no such checkpoint"):
+        checkpoint_to_resume(str(folder / "gone.ckpt"), folder, INFO.model)
+
+
+def test_the_newest_are_kept_and_half_written_ones_are_not(folder):
+    (folder / ".step-00000301.ckpt.x7").write_bytes(b"half")
+    keep_newest(folder, 2)
+    assert {path.name for path in folder.iterdir()} == {"step-00000020.ckpt", "step-00000300.ckpt"}
+
+
+def test_a_full_disk_leaves_what_was_there(folder, monkeypatch):
+    def full(*_):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "replace", full)
+    path = step_file(folder, 300)
+    before = path.read_bytes()
+    with pytest.raises(UserError, match=r"step-00000300\.ckpt: cannot be written \(No space left on device\)"):
+        AtomicCheckpointIO().save_checkpoint({"state_dict": {}}, path)
+    assert path.read_bytes() == before
+    assert find_defect(path) is None
+    assert len(list(folder.iterdir())) == 3
+
+
+def test_a_link_is_moved_at_once(folder):
+    for step in (20, 300):
+        point_at(step_file(folder, step), folder / "last.ckpt")
+    assert (folder / "last.ckpt").resolve() == step_file(folder, 300)
+    assert len(list(folder.iterdir())) == 4
