@@ -1,5 +1,6 @@
 """The documentation: its site builds, every link in it leads somewhere, and README stays short."""
 
+import ast
 import re
 import subprocess
 import sys
@@ -41,6 +42,15 @@ def test_commands_name_what_there_is(page):
         assert (ROOT / module.replace(".", "/")).with_suffix(".py").is_file() or (
             ROOT / module.replace(".", "/")
         ).is_dir()
+
+
+def test_the_tour_says_of_every_folder_what_the_folder_says_of_itself():
+    listed = re.findall(r"^\| `(rfpp[\w/]*)` \| (.+) \|$", (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8"), re.M)
+    packages = {path.parent for path in (ROOT / "rfpp").rglob("__init__.py")} - {ROOT / "rfpp"}
+    said = {
+        p.relative_to(ROOT).as_posix(): ast.get_docstring(ast.parse((p / "__init__.py").read_text())) for p in packages
+    }
+    assert dict(listed) == {folder: text.splitlines()[0] for folder, text in said.items()}
 
 
 def test_readme_is_read_in_a_few_minutes():

@@ -1,1 +1,1 @@
-"""What things cost: ground truth, reading data."""
+"""What things cost and what they are worth beside Cycles: time, memory, quality."""

@@ -1,1 +1,1 @@
-"""A trained network on stored scenes: records, tables, panels, and a page that shows them."""
+"""A trained network on stored scenes."""

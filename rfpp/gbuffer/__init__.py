@@ -1,1 +1,1 @@
-"""What a camera sees before any light transport: ray casting with Embree, no Blender."""
+"""Rays: what a camera sees first, its direct light and reflections, cells and what they see of each other."""

@@ -1,1 +1,1 @@
-"""From a checkpoint and a scene to pictures."""
+"""From a checkpoint and a scene to pictures: the `Renderer`, stills and films."""

@@ -1,1 +1,1 @@
-"""What training minimises."""
+"""What training minimises, and what gets worse when a part of a network is taken away."""

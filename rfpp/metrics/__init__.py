@@ -1,1 +1,1 @@
-"""How images are judged: image metrics, LPIPS, and trivial baselines to judge them by."""
+"""How images are judged, and trivial baselines to judge them by."""

@@ -1,1 +1,1 @@
-"""RenderFormer++: plain arguments in, tensors out."""
+"""The network: plain arguments in, tensors out. Begin with `renderformer_pp`."""

@@ -1,1 +1,1 @@
-"""Ground truth: path-traced images from Blender Cycles."""
+"""Ground truth by Blender Cycles, in worker processes; `cycles` alone imports bpy."""

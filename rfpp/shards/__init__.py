@@ -1,1 +1,1 @@
-"""Storage: scenes, their images and G-buffers as samples of plain WebDataset tars."""
+"""Stored data sets: generation, WebDataset tars, random access, order, verification."""

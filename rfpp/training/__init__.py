@@ -1,1 +1,1 @@
-"""Lightning and MLflow live here and nowhere else."""
+"""Training with Lightning; it and MLflow live here and nowhere else."""

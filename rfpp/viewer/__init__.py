@@ -1,1 +1,1 @@
-"""A web page on which a scene is looked at and edited, rendered by a trained network."""
+"""The web page on which a scene is looked at and edited."""

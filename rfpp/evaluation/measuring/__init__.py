@@ -1,1 +1,1 @@
-"""Measuring a network on stored scenes: one record per image and predictor, means with intervals."""
+"""A record per image and predictor, and means over scenes with intervals."""

@@ -1,1 +1,1 @@
-"""Tables of results: the paper's with ours beside them, light transport, and what an evaluation prints."""
+"""Tables: the paper's with ours beside them, light transport, what an evaluation prints."""

@@ -1,4 +1,4 @@
-"""Films: from a scene file to the frames of a motion. A class for each kind, named in conf/render/motion/*.yaml."""
+"""The motions of films: turntable, camera path, keyframes, numbered scenes."""
 
 from rfpp.inference.motion.camera_path import CameraPath
 from rfpp.inference.motion.frames import Motion

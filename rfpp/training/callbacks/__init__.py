@@ -1,1 +1,1 @@
-"""What watches a training run: consistency residuals, image panels, throughput, progress."""
+"""What watches a training run: consistency, image panels, throughput, signs of life."""
