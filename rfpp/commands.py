@@ -102,7 +102,7 @@ def _one_line(message: Warning | str, category: type[Warning], *_: object) -> st
     return f"{'warning' if category is UserWarning else category.__name__}: {message}\n"
 
 
-def required(cfg: DictConfig, key: str) -> str:
+def required(cfg: DictConfig, key: str) -> Any:
     """A value that only the command line can give. Raises UserError when it is missing."""
     if OmegaConf.is_missing(cfg, key):
         raise UserError(f"{key} is not given: add {key}=… to the command line")

@@ -39,6 +39,11 @@ def srgb(linear: Float[Tensor, "*shape"]) -> Float[Tensor, "*shape"]:
     return torch.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear.clamp_min(0.0031308) ** (1 / 2.4) - 0.055)
 
 
+def linear(display: Float[Tensor, "*shape"]) -> Float[Tensor, "*shape"]:
+    """The inverse of `srgb`."""
+    return torch.where(display <= 0.04045, display / 12.92, ((display.clamp_min(0.04045) + 0.055) / 1.055) ** 2.4)
+
+
 def to_8bit(display: Float[Tensor, "*shape"]) -> UInt8[Tensor, "*shape"]:
     """Display values in [0, 1] as the nearest of 256 levels; NaN becomes 0."""
     return (display.nan_to_num(0.0).clamp(0.0, 1.0) * 255).round().to(torch.uint8)

@@ -14,7 +14,7 @@ def composed():
     """`composed(verb, *overrides)`: a verb's configuration."""
 
     def compose_verb(verb: str, *overrides: str) -> DictConfig:
-        folder = CONFIG_DIR / "render" if verb == "render" else CONFIG_DIR
+        folder = CONFIG_DIR / "render" if verb in ("render", "relight") else CONFIG_DIR
         with initialize_config_dir(str(folder), version_base="1.3"):
             return compose(verb, overrides=list(overrides))
 
