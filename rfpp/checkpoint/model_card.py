@@ -28,7 +28,7 @@ A transformer that renders global illumination of triangle meshes in one forward
 ## Use
 
 ```python
-from rfpp import Renderer, Scene
+from rfpp import Renderer, load_scene
 
 images = Renderer.load("{folder}").render(load_scene("scene.json"))  # [views, height, width, 3], linear radiance
 ```

@@ -12,6 +12,7 @@ from rfpp.gbuffer.first_hit import CELL_CHANNELS, CHANNELS, COLOUR_CHANNELS
 from rfpp.imaging.panels import distinct_colours, false_colours
 from rfpp.imaging.tone_maps import ToneMap
 from rfpp.inference.gbuffers import GBufferSource
+from rfpp.inference.light_mixing import LightMixer
 from rfpp.inference.renderer import Renderer
 from rfpp.scene.packed import PackedScene
 
@@ -25,6 +26,10 @@ class Shown(ABC):
     @abstractmethod
     def picture(self, scene: PackedScene, size: Size, tone_map: ToneMap) -> Picture:
         """(height, width) pixels."""
+
+    def at_once(self, scene: PackedScene, size: Size) -> bool:
+        """Whether `picture` has nothing to compute but sums."""
+        return False
 
 
 @dataclass(frozen=True)
@@ -41,6 +46,19 @@ class Rendered(Shown):
     def picture(self, scene: PackedScene, size: Size, tone_map: ToneMap) -> Picture:
         [radiance] = self.renderer.views(scene, size, transports=self.transports)
         return tone_map(radiance)
+
+
+@dataclass(frozen=True)
+class Mixed(Shown):
+    """What a network renders that is linear in lights: those are dimmed and coloured without running it again."""
+
+    mixer: LightMixer
+
+    def picture(self, scene: PackedScene, size: Size, tone_map: ToneMap) -> Picture:
+        return tone_map(self.mixer.image(scene, size))
+
+    def at_once(self, scene: PackedScene, size: Size) -> bool:
+        return self.mixer.ready(scene, size)
 
 
 @dataclass(frozen=True)
@@ -71,8 +89,9 @@ def channel_picture(values: Float[np.ndarray, "c h w"], name: str, tone_map: Ton
 def everything(renderer: Renderer) -> dict[str, Shown]:
     """By the names that people choose from."""
     transports = renderer.network.iterations
+    image = Mixed(LightMixer(renderer)) if renderer.network.linear_in_lights else Rendered(renderer)
     return (
-        {"image": Rendered(renderer)}
+        {"image": image}
         | {f"light after {k} transports": Rendered(renderer, k) for k in range(transports + 1) if transports}
         | {name.replace("_", " "): Channel(name, GBufferSource([name])) for name in CHANNELS}
     )

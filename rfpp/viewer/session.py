@@ -129,9 +129,11 @@ class Session:
     def _draw_on(self) -> None:
         drawn, small = None, False
         while (view := self._wanted(drawn, small)) is not None:
-            full = self.pacing.size(view.longer_side, view.aspect)
-            size = full if view is drawn else self.pacing.moving_size(view.longer_side, view.aspect)
+            full = size = self.pacing.size(view.longer_side, view.aspect)
             try:
+                at_once = view.shown.at_once(self.packed(view), full)
+                if view is not drawn and not at_once:
+                    size = self.pacing.moving_size(view.longer_side, view.aspect)
                 self._show(self._draw(view, size, full))
             except UserError as error:
                 self._complain(str(error))
@@ -149,10 +151,12 @@ class Session:
         with self._turn:
             before, begin = objects.encoded if objects else 0, time.perf_counter()
             scene = self.packed(view)
+            at_once = view.shown.at_once(scene, size)
             picture = view.shown.picture(scene, size, view.tone_map)
             seconds = time.perf_counter() - begin
             encoded = objects.encoded - before if objects else 0
-        self.pacing.took(size, seconds)
+        if not at_once:  # which says nothing of what the next one takes
+            self.pacing.took(size, seconds)
         compared = bool(view.comparison and view.reference and view.reference.shows(view.scene, view.camera, full))
         if compared:
             reference = view.tone_map(view.reference.radiance)

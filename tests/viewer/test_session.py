@@ -6,10 +6,13 @@ from contextlib import contextmanager
 
 import numpy as np
 import pytest
-from edited_scenes import scene
+from edited_scenes import changed, lamp, scene
+from networks import checkpoint_info, network
 
+from rfpp import Renderer
 from rfpp.imaging.tone_maps import SRGB
 from rfpp.scene.packed import pack
+from rfpp.scene.spec import Scene
 from rfpp.viewer.comparison import Wipe
 from rfpp.viewer.edits import moved, replaced
 from rfpp.viewer.layers import everything
@@ -63,6 +66,27 @@ def test_an_image_in_motion_is_small_and_the_one_at_rest_is_not(renderer):
         assert [drawn.get(timeout=30).rendered for _ in range(2)] == [(64, 64), (96, 96)]
         visitor.change(camera=view.scene.cameras[1])
         assert [drawn.get(timeout=30).rendered for _ in range(2)] == [(64, 64), (96, 96)]
+
+
+def test_lights_that_change_again_are_drawn_in_full_at_once():
+    """Networks that are linear in lights have an image of each by then."""
+    linear = Renderer(network("+experiment=quickstart"), checkpoint_info(resolution=(16, 16)))
+    view = view_of(linear, longer_side=96)
+
+    def dimmer(power: float) -> Scene:
+        return changed(view.scene, "lamp", material=lamp(power))
+
+    with session(linear, view, moving_seconds=1e-9) as (visitor, drawn, _):
+        assert [drawn.get(timeout=60).rendered for _ in range(2)] == [(64, 64), (96, 96)]
+        visitor.change(scene=dimmer(2000))
+        assert [drawn.get(timeout=60).rendered for _ in range(2)] == [(64, 64), (96, 96)]
+        for power in (100, 5000):
+            visitor.change(scene=dimmer(power))
+            mixed = drawn.get(timeout=60)
+            assert mixed.rendered == (96, 96) and mixed.encoded == 0
+            difference = np.abs(mixed.picture.astype(int) - expected(linear, visitor.view, (96, 96)))
+            assert difference.max() <= 1
+    assert drawn.empty()
 
 
 def test_views_that_are_over_are_not_drawn(renderer):

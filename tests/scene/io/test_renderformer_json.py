@@ -13,6 +13,7 @@ import pytest
 import trimesh
 
 from rfpp.errors import SceneError, UserError
+from rfpp.scene.io import renderformer_json
 from rfpp.scene.io.loading import load_scene
 from rfpp.scene.io.renderformer_json import load_json
 from rfpp.scene.io.saving import save_scene
@@ -89,7 +90,9 @@ def test_a_mesh_behind_a_link_is_found(folder: Path) -> None:
 
 def test_copies_of_a_mesh_are_reduced_once_and_too_many_reductions_are_refused(folder: Path, monkeypatch) -> None:
     calls = []
-    monkeypatch.setattr(formats, "decimated", lambda mesh, target: calls.append(target) or decimated(mesh, target))
+    monkeypatch.setattr(
+        renderformer_json, "decimated", lambda mesh, target: calls.append(target) or decimated(mesh, target)
+    )
 
     def of_targets(*targets: int) -> Path:
         ball = PLAIN["objects"]["ball"] | {"remesh": True}
@@ -98,7 +101,7 @@ def test_copies_of_a_mesh_are_reduced_once_and_too_many_reductions_are_refused(f
 
     assert len(load_scene(of_targets(200, 200, 300, 200)).objects) == 4
     assert calls == [200, 300]
-    monkeypatch.setattr(formats, "MAX_TRIANGLES", 3000)
+    monkeypatch.setattr(renderformer_json, "MAX_TRIANGLES", 3000)
     with pytest.raises(SceneError, match=r"scene.json: object 'ball 2': meshes of more than 3,000 faces"):
         load_scene(of_targets(200, 300, 400))
 
