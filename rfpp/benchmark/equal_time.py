@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from hashlib import blake2b
@@ -62,6 +63,7 @@ def measure(
     checkpoint: str,
     exhibits: Sequence[Stored | Drawn],
     resolution: int,
+    light_samples: Sequence[int],
     samples: Sequence[int],
     rounds: int,
     cycles: CyclesSettings,
@@ -76,6 +78,7 @@ def measure(
 
     Args:
         checkpoint: see `rfpp.checkpoint.loading.load_network`.
+        light_samples: of the network's methods, see `Renderer.render`.
         samples: of Cycles' methods.
         rounds: how often all are timed.
         cycles: its settings but for the samples.
@@ -85,30 +88,27 @@ def measure(
     """
     renderer, scenes = Renderer.load(checkpoint), [exhibit.scene() for exhibit in exhibits]
     truths = [_reference(scene, resolution, converged, Path(kept))[0] for scene in scenes]
-    methods = {_NETWORK: lambda: _by_network(renderer, scenes, resolution)}
-    for count in samples:
-        settings = replace(cycles, samples=count)
-        methods[f"Cycles {count}"] = lambda settings=settings: _by_cycles(scenes, resolution, settings)
+    methods: dict[str, Method] = {f"{_NETWORK} {count}": ByNetwork(renderer, count) for count in light_samples}
+    methods |= {f"Cycles {count}": ByCycles(replace(cycles, samples=count)) for count in samples}
     taken: dict[str, list[list[Taken]]] = {name: [] for name in methods}
     turns = (rounds + 1) * len(methods)
     for turn in range(rounds):
         for number, (name, method) in enumerate(methods.items()):
-            taken[name].append(method())
+            taken[name].append(method.pictures(scenes, resolution))
             progress(turn * len(methods) + number + 1, turns)
     arcs = [orbit(scene, np.linspace(0, _ARC, film.frames)) for scene in scenes]
     true_films = [
         _reference(arc, film.resolution, replace(converged, samples=film.samples), Path(kept)) for arc in arcs
     ]
-    for number, name in enumerate(methods):
-        count = samples[number - 1] if number else 0
-        films = _films(renderer, arcs, film.resolution, replace(cycles, samples=count) if count else None)
+    for number, (name, method) in enumerate(methods.items()):
+        films = method.films(arcs, film.resolution)
         for place, (exhibit, truth, true_film) in enumerate(zip(exhibits, truths, true_films, strict=True)):
             of_scene, (frames, seconds) = [turn[place] for turn in taken[name]], films[place]
             first, view, edit = (median(times) for times in zip(*(one.seconds for one in of_scene), strict=True))
             yield {
                 "scene": exhibit.title,
                 "method": name,
-                "samples": count,
+                **method.samples,
                 "resolution": resolution,
                 "first_s": first,
                 "view_s": view,
@@ -149,43 +149,81 @@ def _situations(scene: PackedScene) -> tuple[PackedScene, PackedScene, PackedSce
     return scene, orbit(scene, [_NEXT_VIEW]), dimmed(scene)
 
 
-def _by_network(renderer: Renderer, scenes: Sequence[PackedScene], resolution: int) -> list[Taken]:
-    renderer.render(scenes[-1], resolution)  # wakes it up
-    taken = []
-    for scene in scenes:
-        fresh, images, seconds = _fresh(renderer), [], []
-        for situation in _situations(scene):
-            begin = time.perf_counter()
-            images.append(fresh.render(situation, resolution)[0])
-            seconds.append(time.perf_counter() - begin)
-        taken.append(Taken(images[0], tuple(seconds)))
-    return taken
+class Method(ABC):
+    """A way to make pictures of scenes, and the films of arcs."""
+
+    @property
+    @abstractmethod
+    def samples(self) -> dict[str, int]:
+        """Columns of the table: how many, of which kind."""
+
+    @abstractmethod
+    def pictures(self, scenes: Sequence[PackedScene], resolution: int) -> list[Taken]:
+        """Of every scene: its first picture, and the seconds of that, of the next view, and of an edit."""
+
+    @abstractmethod
+    def films(self, arcs: Sequence[PackedScene], resolution: int) -> list[Traced]:
+        """Of every arc: its frames, and their seconds together."""
 
 
-def _by_cycles(scenes: Sequence[PackedScene], resolution: int, settings: CyclesSettings) -> list[Taken]:
-    asked = [scenes[-1], *(situation for scene in scenes for situation in _situations(scene))]
-    [_, *traced] = path_traced(asked, (resolution, resolution), settings)  # the first wakes it up
-    by_scene = [traced[i : i + 3] for i in range(0, len(traced), 3)]
-    return [Taken(of_scene[0][0][0], tuple(seconds for _, seconds in of_scene)) for of_scene in by_scene]
+@dataclass(frozen=True)
+class ByNetwork(Method):
+    """Attributes:
+    renderer: of the network; every scene gets one that has seen nothing yet.
+    light_samples: shadow rays per light and pixel.
+    """
+
+    renderer: Renderer
+    light_samples: int
+
+    @property
+    def samples(self) -> dict[str, int]:
+        return {"light_samples": self.light_samples, "samples": 0}
+
+    def pictures(self, scenes: Sequence[PackedScene], resolution: int) -> list[Taken]:
+        self.renderer.render(scenes[-1], resolution)  # wakes it up
+        taken = []
+        for scene in scenes:
+            fresh, images, seconds = self._fresh(), [], []
+            for situation in _situations(scene):
+                begin = time.perf_counter()
+                images.append(fresh.render(situation, resolution, light_samples=self.light_samples)[0])
+                seconds.append(time.perf_counter() - begin)
+            taken.append(Taken(images[0], tuple(seconds)))
+        return taken
+
+    def films(self, arcs: Sequence[PackedScene], resolution: int) -> list[Traced]:
+        films = []
+        for arc in arcs:
+            fresh, begin = self._fresh(), time.perf_counter()
+            films.append((fresh.render(arc, resolution, light_samples=self.light_samples), time.perf_counter() - begin))
+        return films
+
+    def _fresh(self) -> Renderer:
+        return Renderer(self.renderer.network, self.renderer.info, self.renderer.device, self.renderer.dtype)
 
 
-def _films(
-    renderer: Renderer, arcs: Sequence[PackedScene], resolution: int, cycles: CyclesSettings | None
-) -> list[Traced]:
-    """Frames of each arc, and their seconds together; by the network where no settings of Cycles are given."""
-    if cycles is not None:
-        [_, *traced] = path_traced([arcs[-1].views([0]), *arcs], (resolution, resolution), cycles)
+@dataclass(frozen=True)
+class ByCycles(Method):
+    """Attributes:
+    settings: of the path tracer.
+    """
+
+    settings: CyclesSettings
+
+    @property
+    def samples(self) -> dict[str, int]:
+        return {"light_samples": 0, "samples": self.settings.samples}
+
+    def pictures(self, scenes: Sequence[PackedScene], resolution: int) -> list[Taken]:
+        asked = [scenes[-1], *(situation for scene in scenes for situation in _situations(scene))]
+        [_, *traced] = path_traced(asked, (resolution, resolution), self.settings)  # the first wakes it up
+        by_scene = [traced[i : i + 3] for i in range(0, len(traced), 3)]
+        return [Taken(of_scene[0][0][0], tuple(seconds for _, seconds in of_scene)) for of_scene in by_scene]
+
+    def films(self, arcs: Sequence[PackedScene], resolution: int) -> list[Traced]:
+        [_, *traced] = path_traced([arcs[-1].views([0]), *arcs], (resolution, resolution), self.settings)
         return traced
-    films = []
-    for arc in arcs:
-        fresh, begin = _fresh(renderer), time.perf_counter()
-        films.append((fresh.render(arc, resolution), time.perf_counter() - begin))
-    return films
-
-
-def _fresh(renderer: Renderer) -> Renderer:
-    """One that has seen nothing yet."""
-    return Renderer(renderer.network, renderer.info, renderer.device, renderer.dtype)
 
 
 def _reference(

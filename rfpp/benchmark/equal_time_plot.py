@@ -56,9 +56,9 @@ def _draw(panel: Axes, rows: Sequence[dict[str, str]], scenes: Sequence[str], se
     for scene, colour in zip(scenes, plt.get_cmap("tab10").colors, strict=False):
         mine = [row for row in rows if row["scene"] == scene]
         cycles = sorted((float(row[seconds]), float(row[error])) for row in mine if int(row["samples"]))
-        [ours] = [(float(row[seconds]), float(row[error])) for row in mine if not int(row["samples"])]
+        ours = sorted((float(row[seconds]), float(row[error])) for row in mine if not int(row["samples"]))
         panel.plot(*zip(*cycles, strict=True), ".-", color=colour, linewidth=1, label=f"{scene}: Cycles, denoised")
-        panel.plot(*ours, "*", color=colour, markersize=13, label=f"{scene}: rfpp")
+        panel.plot(*zip(*ours, strict=True), "*:", color=colour, markersize=13, label=f"{scene}: rfpp")
     panel.set(xscale="log", yscale="log", xlabel="seconds", ylabel=_LABELS[error])
     panel.grid(which="both", alpha=0.2)
 

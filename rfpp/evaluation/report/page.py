@@ -12,7 +12,7 @@ from rfpp.evaluation.report.pictures import StoredPicture
 from rfpp.metrics.image import METRICS
 
 _PAGES = Environment(
-    loader=PackageLoader("rfpp.evaluation", "pages"),
+    loader=PackageLoader("rfpp.evaluation.report", "pages"),
     autoescape=True,
     undefined=StrictUndefined,
     trim_blocks=True,
