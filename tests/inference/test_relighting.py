@@ -44,6 +44,16 @@ def test_no_light_takes_light_away(layers):
     np.testing.assert_array_equal(factors["fill"], 0)
 
 
+def test_highlights_that_stand_elsewhere_turn_nothing(layers):
+    target = mixed(layers, key=2.0, fill=0.5, rim=1.0)
+    rng = np.random.default_rng(1)
+    for image in (target, layers["fill"]):
+        image[rng.random(EVERYWHERE.shape) < 0.03] = 30
+    factors = solve_lights(layers, target, EVERYWHERE, pull=0.0).factors
+    for name, factor in {"key": 2.0, "fill": 0.5, "rim": 1.0}.items():
+        np.testing.assert_allclose(factors[name], factor, atol=0.05)
+
+
 def test_what_does_not_count_is_not_looked_at(layers):
     target, counts = mixed(layers, key=2.0, fill=1.0, rim=1.0), EVERYWHERE.copy()
     target[:, :3], counts[:, :3] = np.nan, False
