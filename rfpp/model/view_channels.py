@@ -50,6 +50,8 @@ class ViewChannels:
         """Pixels of so many points along each side: means, and of cells, which all points know, those of one."""
         if points == 1:
             return self
+        if not self.names:
+            return replace(self, gbuffer=self.gbuffer[..., ::points, ::points])
         pooled = [
             x[..., ::points, ::points] if n in CELL_CHANNELS else F.avg_pool2d(x, points)
             for n, x in self._each(self.names)

@@ -45,10 +45,10 @@ def test_no_light_takes_light_away(layers):
 
 
 def test_highlights_that_stand_elsewhere_turn_nothing(layers):
-    target = mixed(layers, key=2.0, fill=0.5, rim=1.0)
-    rng = np.random.default_rng(1)
-    for image in (target, layers["fill"]):
-        image[rng.random(EVERYWHERE.shape) < 0.03] = 30
+    """Lamps in a mirror: bright in some pixels of the target, and in others of one light's image."""
+    target, rng = mixed(layers, key=2.0, fill=0.5, rim=1.0), np.random.default_rng(1)
+    target[rng.random(EVERYWHERE.shape) < 0.05] = 300
+    layers["fill"][rng.random(EVERYWHERE.shape) < 0.01] = 30
     factors = solve_lights(layers, target, EVERYWHERE, pull=0.0).factors
     for name, factor in {"key": 2.0, "fill": 0.5, "rim": 1.0}.items():
         np.testing.assert_allclose(factors[name], factor, atol=0.05)

@@ -40,10 +40,14 @@ def repeated(gbuffer: np.ndarray, number: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize("number", [2, 3])
-@pytest.mark.parametrize("overrides", [(), ("+experiment=quickstart", "model=known_light")])
-def test_points_that_are_alike_change_nothing(views, overrides, number):
+@pytest.mark.parametrize(
+    ("overrides", "channels"),
+    [((), 7), (("+experiment=quickstart", "model=known_light"), 25), (("model=renderformer",), 0)],
+    ids=["normals and depth", "known light", "none"],
+)
+def test_points_that_are_alike_change_nothing(views, overrides, channels, number):
     net = network(*overrides)
-    gbuffer = views.gbuffer[:, : 25 if overrides else 7]
+    gbuffer = views.gbuffer[:, :channels]
     together = radiance(net, views, repeated(gbuffer, number), number)
     torch.testing.assert_close(together, radiance(net, views, gbuffer, 1), rtol=1e-4, atol=1e-5)
 
