@@ -54,7 +54,10 @@ def main(cfg: DictConfig) -> Path:
     about |= {"bounces": "" if cfg.bounces is None else cfg.bounces}
     infos = {name: info for name, (_, info) in loaded.items()}
     rows = [about | light_row(name, infos.get(name), of_one) for name, of_one in errors.items()]
-    console.print(_table(rows))
+    table = _table(rows)
+    unbounded = console.options.update(max_width=1000)
+    console.width = max(console.width, console.measure(table, options=unbounded).maximum)  # break lines, not words
+    console.print(table)
     file = write_light_rows(rows, Path(cfg.output))
     console.print(f"Table: {file}")
     return file

@@ -32,6 +32,7 @@ class SceneViews:
         texture: [M, 13, P, P] where materials vary over triangles, see `rfpp.scene.texture`.
         object_light: [O, 3] see `rfpp.gbuffer.object_light`, for networks that read it.
         cells: of the scene, for networks that move light between them.
+        bounces: after so many the light of the image ends; None: it does not, as far as is known.
     """
 
     key: str
@@ -43,6 +44,7 @@ class SceneViews:
     texture: np.ndarray | None = None
     object_light: np.ndarray | None = None
     cells: Cells | None = None
+    bounces: int | None = None
 
 
 #: Parts of a batch that live on a device.
@@ -65,7 +67,10 @@ class RaggedBatch:
         texture: [M, 13, P, P] emission linear, or None where every triangle has one material.
         object_light: [O, 3] linear radiance that leaves each object by the first bounce, or None.
         cells: of all scenes, or None.
+        octants: [8 O, 3] where each octant of each object lies: the mean of its cells' centres by their area, or its
+            object's where it has none; None without cells.
         emitters: [E] the triangles that emit; on the host, so that pairing them with objects waits for no device.
+        bounces: B numbers, see `SceneViews`.
     """
 
     positions: Float[Tensor, "m 3 3"]
@@ -82,6 +87,8 @@ class RaggedBatch:
     texture: Float[Tensor, "m 13 p p"] | None = None
     object_light: Float[Tensor, "o 3"] | None = None
     cells: PackedCells | None = None
+    bounces: tuple[int | None, ...] = ()
+    octants: Float[Tensor, "p 3"] | None = None
 
     @classmethod
     def pack(cls, samples: Sequence[SceneViews]) -> RaggedBatch:
@@ -103,12 +110,14 @@ class RaggedBatch:
         with_images = all(s.image is not None for s in samples)
         lit = [s.object_light for s in samples if s.object_light is not None]
         cells = [s.cells for s in samples if s.cells is not None]
+        objects = [t.num_objects for t in triangles]
+        packed_cells = PackedCells.pack(cells, objects) if len(cells) == len(samples) else None
         return cls(
             positions=packed([t.positions for t in triangles]),
             normals=packed([t.normals for t in triangles]),
             material=packed([t.material for t in triangles]),
             objects=Segments.from_lengths([b - a for t in triangles for a, b in pairwise(t.object_offsets.tolist())]),
-            scenes=Segments.from_lengths([t.num_objects for t in triangles]),
+            scenes=Segments.from_lengths(objects),
             c2w=stacked([s.c2w for s in samples]),
             fov=stacked([s.fov for s in samples]),
             gbuffer=stacked([s.gbuffer for s in samples]),
@@ -117,7 +126,9 @@ class RaggedBatch:
             emitters=np.flatnonzero(np.concatenate([t.is_emissive for t in triangles])),
             texture=packed(textures) if textures else None,
             object_light=packed(lit) if len(lit) == len(samples) else None,
-            cells=PackedCells.pack(cells, [t.num_objects for t in triangles]) if len(cells) == len(samples) else None,
+            cells=packed_cells,
+            bounces=tuple(s.bounces for s in samples),
+            octants=None if packed_cells is None else packed_cells.octant_centres(sum(objects)),
         )
 
     @property
@@ -172,6 +183,7 @@ class RaggedBatch:
             if self.object_light is None
             else self.object_light[on_device(np.array(objects), rows.device)],
             cells=None,
+            octants=None if self.octants is None else self.octants.view(-1, 8, 3)[list(objects)].flatten(0, 1),
         )
 
     def object_chunks(self, objects: Sequence[int], triangles: int) -> Iterator[list[int]]:

@@ -7,7 +7,7 @@ import functools
 import os
 import sys
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any, NoReturn, TypeVar
@@ -28,6 +28,9 @@ Result = TypeVar("Result")
 NO_SPACE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 #: SQLite's words for it, which reach us in an exception of MLflow's.
 SQLITE_NO_SPACE = "database or disk is full"
+
+#: Groups that no configuration has by default.
+_OPTIONAL_GROUPS = ("experiment=", "debug=")
 
 #: Hydra's primary configurations and groups.
 CONFIG_DIR = carried("conf", "_conf")
@@ -71,6 +74,7 @@ def entry_point(
 
         @functools.wraps(reporting)
         def command() -> Result:
+            sys.argv[1:] = with_groups(sys.argv[1:])
             os.environ["HYDRA_FULL_ERROR"] = "1"  # Hydra then leaves its errors to us, and a defect its whole traceback
             try:
                 return composed()
@@ -80,6 +84,11 @@ def entry_point(
         return command
 
     return decorate
+
+
+def with_groups(arguments: Sequence[str]) -> list[str]:
+    """The command line with a plus before `experiment=…` and `debug=…`, as Hydra wants it; people may leave it away."""
+    return [f"+{given}" if given.startswith(_OPTIONAL_GROUPS) else given for given in arguments]
 
 
 def _uncaught(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:

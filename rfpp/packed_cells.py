@@ -57,6 +57,15 @@ class PackedCells:
     def __len__(self) -> int:
         return len(self.area)
 
+    def octant_centres(self, objects: int) -> Float[Tensor, "p 3"]:
+        """[8 · objects, 3] means of the cells' centres by their area; of the whole object where an octant has none."""
+        weight = self.area.clamp_min(1e-12)[:, None]
+        weighted = torch.cat([self.centre * weight, weight], dim=-1)
+        sums = weighted.new_zeros(8 * objects, 4).index_add(0, self.octant, weighted).view(objects, 8, 4)
+        whole = sums.sum(1, keepdim=True).expand(-1, 8, -1)
+        sums = torch.where(sums[..., 3:] > 0, sums, whole).flatten(0, 1)
+        return sums[:, :3] / sums[:, 3:].clamp_min(1e-12)
+
     def dimmed(self, factor: Float[Tensor, " b"]) -> PackedCells:
         """Every scene's light divided by its factor."""
         per_cell = factor[self.scenes.index][:, None]

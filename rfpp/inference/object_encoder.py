@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from hashlib import blake2b
 from itertools import pairwise
 
@@ -64,7 +65,7 @@ class ObjectEncoder:
         """As `RenderFormerPP.tokenize`, for a batch on the CPU."""
         exposure = self.network.exposure(batch)
         batch = batch.dimmed(exposure)
-        keys = object_keys(batch)
+        keys = object_keys(batch, self.network.tokenizer.reads)
         tokens = {key: self._kept.get(key) for key in keys}
         missing = {key: number for number, key in enumerate(keys) if tokens[key] is None}
         for numbers in batch.object_chunks(list(missing.values()), self._triangles_at_once):
@@ -77,13 +78,18 @@ class ObjectEncoder:
         return exposure.to(self.device), self.network.source(whole, batch)
 
 
-def object_keys(batch: RaggedBatch) -> list[bytes]:
-    """A digest of everything an object's encoder sees, for each object of a batch on the CPU."""
+def object_keys(batch: RaggedBatch, reads: Collection[str] = ()) -> list[bytes]:
+    """A digest of everything an object's encoder sees, for each object of a batch on the CPU.
+
+    Args:
+        reads: of the tokenizer.
+    """
     arrays = [batch.positions, batch.normals, batch.material, *([] if batch.texture is None else [batch.texture])]
     arrays = [np.ascontiguousarray(array.numpy()) for array in arrays]
+    octants = batch.octants.numpy().reshape(-1, 8, 3) if "cells" in reads else None
     keys = []
-    for first, last in pairwise(batch.objects.offsets.tolist()):
-        digest = blake2b(digest_size=16)
+    for number, (first, last) in enumerate(pairwise(batch.objects.offsets.tolist())):
+        digest = blake2b(b"" if octants is None else octants[number].tobytes(), digest_size=16)
         for array in arrays:
             digest.update(array[first:last])
         keys.append(digest.digest())

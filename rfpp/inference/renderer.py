@@ -209,7 +209,7 @@ class Renderer:
     ) -> Iterator[Float[np.ndarray, "h w 3"]]:
         """One view at a time, which bounds the memory; a thread casts the next one's rays meanwhile."""
         no_gbuffer = np.zeros((len(scene.fov), 0, 0, 0), np.float32)
-        known = self._gbuffers.known_of_scene(scene.triangles, self.network.source.reads, light)
+        known = self._gbuffers.known_of_scene(scene.triangles, self.network.reads, light)
         views = SceneViews(
             scene.name, scene.triangles, scene.c2w, scene.fov, no_gbuffer, texture=scene.texture, **known
         )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import torch
 import torch.nn.functional as F
 from jaxtyping import Float
@@ -18,7 +19,10 @@ from rfpp.model.precision import in_float32
 from rfpp.model.tokenizer import SceneTokens
 from rfpp.model.transport import Transported, TransportStates, UnconstrainedTransport
 from rfpp.packed_cells import PackedCells
+from rfpp.segments import on_device
 
+#: What of lit cells differs from bounce to bounce.
+_LIGHT = ("arriving", "before")
 #: A surface sends on at most so much of what arrives: with row sums of A of at most 1, energy never grows.
 HIGHEST_ALBEDO = 0.98
 
@@ -62,7 +66,18 @@ class LinearTransport(nn.Module):
     def forward(self, tokens: SceneTokens) -> Transported:
         lit, states, couplings = self._each(tokens, self.iterations + self.training)
         divergence_from_rays = divergence(couplings, tokens.cells) if self.training else None
-        return Transported(lit[self.iterations], states[1:], divergence_from_rays)
+        return Transported(self._as_far_as_the_images(lit, tokens.bounces), states[1:], divergence_from_rays)
+
+    def _as_far_as_the_images(self, lit: list[SceneTokens], bounces: tuple[int | None, ...]) -> SceneTokens:
+        """⁽ᴷ⁾I of each scene; where its images end after n bounces, ⁽ⁿ⁻¹⁾I: the last is from cells to pixels."""
+        counts = [self.iterations if n is None else min(self.iterations, max(n - 1, 0)) for n in bounces]
+        if all(count == self.iterations for count in counts):
+            return lit[self.iterations]
+        cells = lit[0].cells
+        taken = on_device(np.repeat(counts, cells.cells.scenes.lengths), cells.first.device)
+        row = torch.arange(len(taken), device=taken.device)
+        now, before = (torch.stack([getattr(one.cells, name) for one in lit])[taken, row] for name in _LIGHT)
+        return replace(lit[0], cells=replace(cells, arriving=now, before=before))
 
     def each(self, tokens: SceneTokens, count: int) -> tuple[list[SceneTokens], TransportStates]:
         """The tokens with ⁽ᵏ⁾I on their cells, k = 0 … `count`, and these."""

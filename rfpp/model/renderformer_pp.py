@@ -140,6 +140,11 @@ class RenderFormerPP(nn.Module):
         return self.transport.iterations
 
     @property
+    def reads(self) -> tuple[str, ...]:
+        """What batches must carry besides triangles and G-buffers: names of `RaggedBatch`."""
+        return tuple({**dict.fromkeys(self.source.reads), **dict.fromkeys(self.tokenizer.reads)})
+
+    @property
     def linear_in_lights(self) -> bool:
         """Whether the image of several lights is the sum of theirs."""
         return self.decoder.linear_in_lights

@@ -10,6 +10,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from rfpp.batch import RaggedBatch
+from rfpp.errors import UserError
 from rfpp.model.attention import AttentionPattern
 from rfpp.model.block import CrossBlock, RMSNorm, SelfBlock
 from rfpp.model.encoding import RelativeSpatialEncoding
@@ -29,6 +30,7 @@ class SceneTokens:
             stands for, or what another `source` says.
         segments: B segments of the N tokens.
         cells: of the scenes, for networks that move light between them; lit once it has.
+        bounces: of the light of each scene's images, see `rfpp.batch.SceneViews`; empty where nobody asks.
     """
 
     features: Float[Tensor, "n width"]
@@ -36,6 +38,7 @@ class SceneTokens:
     log_light: Float[Tensor, "n 3"]
     segments: Segments
     cells: PackedCells | LitCells | None = None
+    bounces: tuple[int | None, ...] = ()
 
     @classmethod
     def joined(cls, parts: Sequence[SceneTokens], objects: Sequence[int]) -> SceneTokens:
@@ -60,6 +63,9 @@ class TriangleTokens(nn.Module):
         width: token width.
         registers: per scene, placed at the mean of its vertices (RenderFormer has 16).
     """
+
+    #: What batches must carry besides triangles.
+    reads: tuple[str, ...] = ()
 
     def __init__(self, width: int, registers: int):
         super().__init__()
@@ -114,6 +120,13 @@ class ObjectTokens(nn.Module):
         self.mix = nn.ModuleList(SelfBlock(width, heads, hidden) for _ in range(cross_layers - 1))
         self.norm = RMSNorm(width)
 
+    #: What batches must carry besides triangles.
+    reads: tuple[str, ...] = ()
+
+    def anchors(self, batch: RaggedBatch) -> Float[Tensor, "n 9"]:
+        """Where tokens stand: all of an object's at one place."""
+        return object_anchors(batch).repeat_interleave(len(self.queries), dim=0)
+
     def forward(self, triangles: Float[Tensor, "m width"], batch: RaggedBatch) -> SceneTokens:
         per_object, n_q = batch.objects, len(self.queries)
         query_segments = Segments.from_lengths([n_q] * len(per_object), batch.positions.device)
@@ -123,7 +136,7 @@ class ObjectTokens(nn.Module):
         for block in self.encoder:
             triangles = block(triangles, within_object, rotation)
 
-        points = object_anchors(batch).repeat_interleave(n_q, dim=0)
+        points = self.anchors(batch)
         anchor_rotation = self.position(points)
         to_triangles, among_queries = AttentionPattern(query_segments, per_object), AttentionPattern(query_segments)
         tokens = self.queries.repeat(len(per_object), 1)
@@ -138,6 +151,28 @@ class ObjectTokens(nn.Module):
             log_light=mean_by_object(batch.log_emission, batch).repeat_interleave(n_q, dim=0),
             segments=Segments.from_lengths([n_q * n for n in batch.scenes.lengths], batch.positions.device),
         )
+
+
+class OctantTokens(ObjectTokens):
+    """HOCT whose eight tokens stand at the eight octants of their object, those that the cells of a scene belong to.
+
+    Not in the paper, where all tokens of an object stand at its bounding box. An octant's place moves with its object.
+    """
+
+    reads = ("cells",)
+
+    def anchors(self, batch: RaggedBatch) -> Float[Tensor, "n 9"]:
+        """From the object's centroid through the octant's, and as far again beyond.
+
+        Raises ValueError where the batch does not carry octants, UserError where there are not eight tokens an object.
+        """
+        if batch.octants is None:
+            raise ValueError("tokens stand at octants of objects, but the batch carries no cells to tell them by")
+        if len(self.queries) != 8:
+            raise UserError(f"queries={len(self.queries)}: an object has eight octants: give the network 8")
+        octant = batch.octants.to(batch.positions)
+        centre = mean_by_object(batch.positions.mean(1), batch).repeat_interleave(8, dim=0)
+        return torch.cat([centre, octant, 2 * octant - centre], dim=-1)
 
 
 def object_anchors(batch: RaggedBatch) -> Float[Tensor, "o 9"]:

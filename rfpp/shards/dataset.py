@@ -84,6 +84,11 @@ class ShardSplit(Dataset):
             self._triangles[shard.file] = [entry.triangles for entry in self.manifest.index(shard).samples]
         return self._triangles[shard.file][position]
 
+    def bounces(self, index: int) -> int | None:
+        """After so many the light of a scene's images ends (Cycles' `max_bounces`); None where that is not said."""
+        reference = self.manifest.settings.get("reference")
+        return reference.get("max_bounces") if isinstance(reference, dict) else None
+
     def close(self) -> None:
         """Close all files; they are opened again when needed."""
         while self._open:

@@ -53,6 +53,10 @@ class JoinedSplit(Dataset):
         part, inside = self._locate(index)
         return part.triangles(inside)
 
+    def bounces(self, index: int) -> int | None:
+        part, inside = self._locate(index)
+        return part.bounces(inside)
+
     def _locate(self, index: int) -> tuple[ShardSplit, int]:
         if not 0 <= index < len(self):
             raise IndexError(f"sample {index} of {len(self)}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from torch.utils.data import Dataset
@@ -35,7 +36,7 @@ def read_views(
 ) -> SceneViews:
     """`select_views` of the scene at `index`; only what these views and channels need is decoded."""
     sample = split.read(index, choose, channels)
-    return select_views(sample, range(len(sample.fov)), channels)
+    return replace(select_views(sample, range(len(sample.fov)), channels), bounces=split.bounces(index))
 
 
 class AllViews(Dataset):

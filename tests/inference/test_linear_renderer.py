@@ -14,8 +14,8 @@ LINEAR = ("+experiment=quickstart",)
 EDITS = (dimmed, moved, reordered)
 
 
-def renderer() -> Renderer:
-    return Renderer(network(*LINEAR), checkpoint_info(resolution=(16, 16)))
+def renderer(*overrides: str) -> Renderer:
+    return Renderer(network(*(overrides or LINEAR)), checkpoint_info(resolution=(16, 16)))
 
 
 def with_power(factor: float) -> Scene:
@@ -30,11 +30,12 @@ def test_twice_the_power_is_twice_the_image():
     assert not ours.render(with_power(0.0)).any()
 
 
+@pytest.mark.parametrize("overrides", [LINEAR, ("+experiment=[ablation,octant_tokens]",)], ids=["linear", "octants"])
 @pytest.mark.parametrize("edit", EDITS, ids=lambda edit: edit.__name__)
-def test_an_edited_scene_looks_as_if_it_had_been_so_from_the_start(edit):
-    edited, ours = edit(scene()), renderer()
+def test_an_edited_scene_looks_as_if_it_had_been_so_from_the_start(edit, overrides):
+    edited, ours = edit(scene()), renderer(*overrides)
     ours.render(scene())
-    np.testing.assert_array_equal(ours.render(edited), renderer().render(edited))
+    np.testing.assert_array_equal(ours.render(edited), renderer(*overrides).render(edited))
 
 
 def test_more_bounces_are_more_light():

@@ -75,6 +75,18 @@ def test_twice_the_light_is_twice_the_image(net, sample):
     torch.testing.assert_close(twice, 2 * once, rtol=1e-5, atol=1e-6)
 
 
+def test_images_whose_light_ends_are_compared_with_light_that_ends(linear, sample):
+    """After n bounces: n − 1 between cells and the last one to pixels; each scene of a batch as its own images do."""
+    views = select_views(sample, range(len(sample.fov)), linear.gbuffer_channels)
+    ends = (1, 3, None)
+    mixed = image(linear, RaggedBatch.pack([replace(views, bounces=n) for n in ends]))
+    assert mixed[0].sum() < mixed[1].sum() < mixed[2].sum()
+    trained_for = linear.transport.iterations
+    for scene, n in zip(mixed, ends, strict=True):
+        linear.transport.iterations = trained_for if n is None else n - 1
+        torch.testing.assert_close(scene, image(linear, RaggedBatch.pack([views]))[0], rtol=1e-5, atol=1e-7)
+
+
 def test_without_light_it_is_exactly_black(net, sample):
     assert not image(net, batch_of(net, sample, 0.0)).any()
 

@@ -20,7 +20,7 @@ VARIANTS = {
         name: (f"+experiment=[large_scale,{name}]", "size=tiny", *HEADS)
         for name in ("without_pitg", "without_tcl", "without_ggd", "one_iteration", "renderformer", "renderformer_pitg",
                      "renderformer_hoct", "renderformer_finetuned", "direct_light", "learned_occlusion",
-                     "light_from_emission")
+                     "light_from_emission", "octant_tokens")
     },
 }  # fmt: skip
 
