@@ -28,7 +28,7 @@ from rfpp.inference.motion.frames import with_cameras
 from rfpp.inference.relighting import Images, SolvedLights, solve_lights, with_factors
 from rfpp.inference.stills import write_still
 from rfpp.scene.io.loading import load_scene
-from rfpp.scene.io.saving import save_scene
+from rfpp.scene.io.saving import fits_json, save_scene
 from rfpp.training.tracking.registry import checkpoint_file
 
 
@@ -64,8 +64,7 @@ def main(cfg: DictConfig) -> Path:
         write_still(image, folder / f"{stem}_relit_{view}.exr", tone_map)
     sheet = save_png(_sheet(sum(layers.values()), target, solved, tone_map), folder / f"{stem}_relit.png")
     relit = with_factors(scene, solved.factors)
-    flat = all(item.face_material is None for item in getattr(relit, "objects", ())) and hasattr(relit, "objects")
-    written = save_scene(relit, folder / f"{stem}_relit.{'json' if flat else 'h5'}")
+    written = save_scene(relit, folder / f"{stem}_relit.{'json' if fits_json(relit) else 'h5'}")
     console.print(f"Difference from the target: {solved.before:.1%} before, {solved.after:.1%} with these lights")
     console.print(f"  {written}, {sheet}, images of {len(target)} view{'s' * (len(target) > 1)} beside it")
     return written

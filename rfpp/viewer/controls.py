@@ -15,7 +15,7 @@ from PIL import Image
 from rfpp.errors import UserError
 from rfpp.files import as_file_name
 from rfpp.imaging.tone_maps import ToneMap
-from rfpp.scene.io.saving import save_scene
+from rfpp.scene.io.saving import fits_json, save_scene
 from rfpp.scene.packed import PackedScene, pack
 from rfpp.scene.spec import Camera, Scene, SceneObject
 from rfpp.viewer.comparison import COMPARISONS
@@ -208,28 +208,25 @@ def add_saving(gui: viser.GuiApi, client: viser.ClientHandle, session: Session, 
     with gui.add_folder("Save"):
         picture, scene = gui.add_button("Picture (PNG)"), gui.add_button("Scene")
 
-    def save_picture(_: object) -> None:
+    def send_picture(_: object) -> None:
         stream = io.BytesIO()
         Image.fromarray(np.asarray(newest().picture)).save(stream, format="png")
         client.send_file_download(f"{as_file_name(session.view.scene.name)}.png", stream.getvalue())
 
-    def save_scene(_: object) -> None:
+    def send_scene(_: object) -> None:
         name, content = scene_file(session.view.scene, camera_of(client))
         client.send_file_download(name, content)
 
-    picture.on_click(save_picture)
-    scene.on_click(save_scene)
+    picture.on_click(send_picture)
+    scene.on_click(send_scene)
 
 
 def scene_file(scene: Scene | PackedScene, camera: Camera) -> tuple[str, bytes]:
     """Name and bytes of a file that holds the scene, with this camera: an archive of JSON and meshes, or H5."""
     stem = as_file_name(scene.name)
     with tempfile.TemporaryDirectory() as folder:
-        varies = isinstance(scene, PackedScene) or any(item.face_material is not None for item in scene.objects)
-        if varies:  # which JSON cannot say
-            from rfpp.scene.io.renderformer_h5 import save_h5  # late: its library is an extra
-
-            return f"{stem}.h5", save_h5(pack(scene).seen_by([camera]), Path(folder) / "scene.h5").read_bytes()
+        if not fits_json(scene):
+            return f"{stem}.h5", save_scene(pack(scene).seen_by([camera]), Path(folder) / "scene.h5").read_bytes()
         save_scene(Scene(name=scene.name, objects=scene.objects, cameras=(camera,)), Path(folder) / f"{stem}.json")
         stream = io.BytesIO()
         with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:

@@ -7,6 +7,7 @@ from networks import checkpoint_info, model_config, network
 from PIL import Image
 
 from rfpp import Renderer, load_scene, save_scene
+from rfpp.errors import SceneError
 from rfpp.imaging.exr import write_exr
 from rfpp.imaging.panels import tone_mapped
 
@@ -58,6 +59,17 @@ def test_the_lights_of_a_picture_are_found(relight, kept, tmp_path, capsys, targ
     assert "before" in said and "with these lights" in said and "lamp" in said
     assert Image.open(tmp_path / "six_relit.png").width > 5 * 160
     assert (tmp_path / "six_relit_0.exr").is_file()
+
+
+def test_triangles_without_objects_are_relit_as_such(relight, kept, tmp_path):
+    save_scene(scene(), tmp_path / "six.h5")
+    written = relight(f"scene={tmp_path}/six.h5", f"target={kept}/0.exr")
+    before, after = (load_scene(path).triangles for path in (tmp_path / "six.h5", written))
+    lit = before.is_emissive
+    ratios = after.material[lit, 7:] / before.material[lit, 7:]
+    np.testing.assert_allclose(ratios, list(FACTORS.values()), rtol=0.02, atol=0.02)
+    with pytest.raises(SceneError, match=r"is of triangles.*\.h5"):
+        save_scene(load_scene(written), tmp_path / "six.json")
 
 
 def test_a_mask_hides_what_is_wrong_in_the_target(relight, kept, tmp_path):

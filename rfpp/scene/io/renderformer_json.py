@@ -23,6 +23,7 @@ from rfpp.scene.io.limits import (
 )
 from rfpp.scene.io.mesh_files import load_mesh, save_mesh
 from rfpp.scene.mesh import Mesh, decimated
+from rfpp.scene.packed import PackedScene
 from rfpp.scene.spec import Camera, Material, Scene, SceneObject, Strict, Transform
 
 VERSION = "1.0"
@@ -67,16 +68,18 @@ def load_json(path: Path) -> Scene:
         return Scene(name=entry.scene_name, objects=objects, cameras=tuple(_cameras(entry.cameras)))
 
 
-def save_json(scene: Scene, path: Path) -> Path:
+def save_json(scene: Scene | PackedScene, path: Path) -> Path:
     """Write RenderFormer JSON v1.0, and each different mesh as OBJ in the folder `<stem>_meshes` beside it.
 
     Returns:
         `path`.
 
     Raises:
-        SceneError: an object whose material varies over its faces, which the format cannot say.
+        SceneError: an object whose material varies over its faces, or a packed scene: the format cannot say either.
         UserError: a file cannot be written.
     """
+    if isinstance(scene, PackedScene):
+        raise SceneError(f"{path}: scene '{scene.name}' is of triangles, JSON v1.0 of objects: save it as .h5")
     for item in scene.objects:
         if item.face_material is not None:
             raise SceneError(f"{path}: object '{item.name}': JSON v1.0 has one material an object: save it as .h5")

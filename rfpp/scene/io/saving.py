@@ -5,14 +5,19 @@ from __future__ import annotations
 from pathlib import Path
 
 from rfpp.scene.io.renderformer_json import save_json
-from rfpp.scene.packed import pack
+from rfpp.scene.packed import PackedScene, pack
 from rfpp.scene.spec import Scene
 
 
-def save_scene(scene: Scene, path: str | Path) -> Path:
+def fits_json(scene: Scene | PackedScene) -> bool:
+    """Whether JSON holds all of a scene: its objects are known, each of one material."""
+    return isinstance(scene, Scene) and all(item.face_material is None for item in scene.objects)
+
+
+def save_scene(scene: Scene | PackedScene, path: str | Path) -> Path:
     """Write RenderFormer JSON v1.0 with the meshes as OBJ files beside it, or its H5 (.h5); returns the path.
 
-    Raises SceneError for JSON where a material varies over an object's faces, which only H5 holds.
+    Raises SceneError for JSON of a scene that only H5 holds, see `fits_json`.
     """
     path = Path(path)
     if path.suffix not in (".h5", ".hdf5"):
