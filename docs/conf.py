@@ -8,7 +8,7 @@ author = "The rfpp authors"
 extensions = ["myst_parser"]
 source_suffix = {".md": "markdown"}
 root_doc = "docs/index"
-include_patterns = ["docs/*.md", "data/*.md", "data/**/*.md", "CONTRIBUTING.md"]
+include_patterns = ["docs/*.md", "data/*.md", "data/**/*.md", "CONTRIBUTING.md", "CHANGELOG.md"]
 exclude_patterns = [
     ".venv",
     "data/shards",

@@ -88,7 +88,7 @@ class RaggedBatch:
     object_light: Float[Tensor, "o 3"] | None = None
     cells: PackedCells | None = None
     bounces: tuple[int | None, ...] = ()
-    octants: Float[Tensor, "p 3"] | None = None
+    octants: Float[Tensor, "octants 3"] | None = None
 
     @classmethod
     def pack(cls, samples: Sequence[SceneViews]) -> RaggedBatch:

@@ -57,7 +57,7 @@ class PackedCells:
     def __len__(self) -> int:
         return len(self.area)
 
-    def octant_centres(self, objects: int) -> Float[Tensor, "p 3"]:
+    def octant_centres(self, objects: int) -> Float[Tensor, "octants 3"]:
         """[8 · objects, 3] means of the cells' centres by their area; of the whole object where an octant has none."""
         weight = self.area.clamp_min(1e-12)[:, None]
         weighted = torch.cat([self.centre * weight, weight], dim=-1)

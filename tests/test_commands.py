@@ -19,7 +19,7 @@ def test_experiments_are_named_with_or_without_a_plus():
 def test_the_command_line_takes_either():
     composed = [
         subprocess.run(
-            [sys.executable, "launch/train.py", f"{plus}experiment=quickstart", "--cfg", "job", "run_dir=unused"],
+            [sys.executable, "launch/train.py", f"{plus}experiment=quickstart", "run_dir=unused", "--cfg", "job"],
             cwd=ROOT, capture_output=True, text=True, check=True,
         ).stdout
         for plus in ("", "+")

@@ -17,6 +17,7 @@ matplotlib.use("Agg")  # files only: no window system is needed
 
 import matplotlib.pyplot as plt
 from matplotlib.axes import Axes
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from rfpp.errors import UserError
 from rfpp.files import write_atomically
@@ -60,6 +61,10 @@ def _draw(panel: Axes, rows: Sequence[dict[str, str]], scenes: Sequence[str], se
         panel.plot(*zip(*cycles, strict=True), ".-", color=colour, linewidth=1, label=f"{scene}: Cycles, denoised")
         panel.plot(*zip(*ours, strict=True), "*:", color=colour, markersize=13, label=f"{scene}: rfpp")
     panel.set(xscale="log", yscale="log", xlabel="seconds", ylabel=_LABELS[error])
+    for axis in (panel.xaxis, panel.yaxis):
+        axis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        axis.set_minor_formatter(NullFormatter())
     panel.grid(which="both", alpha=0.2)
 
 
