@@ -9,7 +9,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from statistics import median
-from typing import TYPE_CHECKING
 
 import torch
 import torch.distributed as dist
@@ -17,10 +16,8 @@ from torch import multiprocessing, nn
 from torch.nn.parallel import DistributedDataParallel
 
 from rfpp.batch import RaggedBatch, SceneViews
+from rfpp.benchmark.training_case import Training
 from rfpp.training.dealing import Dealing, InOrder
-
-if TYPE_CHECKING:
-    from rfpp.benchmark.scaling import Training
 
 RANKS = 2
 #: Steps on other scenes that are timed together.
