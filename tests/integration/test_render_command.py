@@ -121,7 +121,7 @@ def test_a_turntable_is_a_film_that_is_resumed(render, tmp_path):
 def test_a_folder_of_numbered_scenes_is_a_film(render, tmp_path):
     imageio_ffmpeg = pytest.importorskip("imageio_ffmpeg")
     for number, one in enumerate((scene(), moved(scene()))):
-        one.save(tmp_path / "walk" / f"{number}.json")
+        save_scene(one, tmp_path / "walk" / f"{number}.json")
     files, _ = render(f"scene={tmp_path}/walk", "motion=numbered_scenes", f"output={tmp_path}/walk.mp4")
     assert files == [tmp_path / "walk.mp4"]
     assert imageio_ffmpeg.count_frames_and_secs(str(files[0]))[0] == 2

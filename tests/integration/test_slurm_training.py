@@ -24,7 +24,7 @@ def submitted(slurm, folder: Path, *options: str, run: tuple[str, ...] = RUN) ->
         run: what is trained.
     """
     data = Path(make(folder / "data" / "small", splits={"train": 7, "validation": 2}).root)
-    environment = {"PYTHON": sys.executable, "PYTHONPATH": f"{REPOSITORY}:{REPOSITORY}/tests"}
+    environment = {"PYTHON": sys.executable, "PYTHONPATH": f"{REPOSITORY}:{REPOSITORY}/tests/support"}
     # Lightning's port follows from the job's number, which another Slurm on this machine may have given too
     environment |= {"MASTER_ADDR": "127.0.0.1", "MASTER_PORT": free_ports(1)[0]}
     job = slurm.submit(

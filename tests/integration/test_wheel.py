@@ -62,7 +62,7 @@ def pip(verb: str, *arguments: str) -> None:
 
 def test_every_file_travels(wheel):
     kinds = {
-        "rfpp": ("**/*.py", "evaluation/pages/*"),
+        "rfpp": ("**/*.py", "evaluation/report/pages/*"),
         "conf": ("**/*.yaml",),
         "launch": ("*.py",),
         "data/models": ("*/*",),

@@ -1,6 +1,6 @@
 """Training under Slurm, killed again and again, against the same training left alone: the weights must be the same.
 
-python tests/endurance.py --steps 2000 --kills 6
+python tests/support/endurance.py --steps 2000 --kills 6
 
 Starts a Slurm of its own that plays two nodes, so it needs root and Slurm's packages. Each run has two ranks, one on
 each node. Everything after `--` goes to launch/train.py, as overrides do. The tests do the same in a minute; this is
@@ -25,7 +25,7 @@ from mlflow import MlflowClient
 from slurm_cluster import UNDER_WAY, SlurmCluster
 from training_runs import differing
 
-REPOSITORY = Path(__file__).resolve().parents[1]
+REPOSITORY = Path(__file__).resolve().parents[2]
 
 
 def main() -> int:
