@@ -136,4 +136,6 @@ def settings(group: str, key: str, name: str) -> DictConfig:
     files = {file.stem: file for file in sorted((CONFIG_DIR / group).glob("*.yaml"))}
     if name not in files:
         raise UserError(f"{key}={name}: choose from {', '.join(files)}")
-    return OmegaConf.load(files[name])
+    chosen = OmegaConf.load(files[name])
+    of_group = [parent for parent in chosen.pop("defaults", ["_self_"]) if parent != "_self_"]
+    return OmegaConf.merge(*(settings(group, key, parent) for parent in of_group), chosen)

@@ -4,7 +4,10 @@ import subprocess
 import sys
 from pathlib import Path
 
-from rfpp.commands import with_groups
+import pytest
+
+from rfpp.commands import settings, with_groups
+from rfpp.errors import UserError
 
 ROOT = Path(__file__).parents[1]
 
@@ -14,6 +17,13 @@ def test_experiments_are_named_with_or_without_a_plus():
     assert with_groups(given) == [
         "-m", "+experiment=[ablation,linear_light]", "+experiment=quickstart", "+debug=one_batch", "data.name=a=b"
     ]  # fmt: skip
+
+
+def test_settings_by_name_hold_what_they_are_based_on():
+    unclamped, preview = (settings("reference", "reference_settings", name) for name in ("unclamped", "preview"))
+    assert unclamped == {**preview, "samples": 32, "clamp_indirect": 0.0} and preview.samples == 16
+    with pytest.raises(UserError, match=r"reference_settings=best: choose from paper, preview, training, unclamped"):
+        settings("reference", "reference_settings", "best")
 
 
 def test_the_command_line_takes_either():
