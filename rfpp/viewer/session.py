@@ -131,8 +131,7 @@ class Session:
         while (view := self._wanted(drawn, small)) is not None:
             full = size = self.pacing.size(view.longer_side, view.aspect)
             try:
-                at_once = view.shown.at_once(self.packed(view), full)
-                if view is not drawn and not at_once:
+                if view is not drawn and not view.shown.at_once(self.packed(view), full):
                     size = self.pacing.moving_size(view.longer_side, view.aspect)
                 self._show(self._draw(view, size, full))
             except UserError as error:
