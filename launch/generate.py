@@ -58,18 +58,21 @@ def _recipe(cfg: DictConfig) -> Recipe:
         return Import(Path(cfg.h5.folder), cfg.h5.validation, cfg.h5.test).recipe(data)
     family = instantiate(cfg.scene, _convert_="all")
     groups = {group: OmegaConf.to_container(cfg[group], resolve=True) for group in ("scene", "reference")}
-    if isinstance(family.objects, PreparedObjects):  # their content counts, not where it came from
-        groups["scene"]["objects"] = family.objects.content()
+    groups["scene"]["objects"] = family.objects.account(groups["scene"]["objects"])
     return Recipe.of_scenes(family, instantiate(cfg.reference), data, groups)
 
 
-def _prepare(cfg: DictConfig, console: Console) -> Library:
-    """Read foreign meshes into their library; only what is new or changed is looked at."""
-    source = instantiate(cfg.scene.objects, _convert_="all")
-    if not isinstance(source, PreparedObjects):
+def _prepare(cfg: DictConfig, console: Console) -> list[Library]:
+    """Read foreign meshes into their libraries; only what is new or changed is looked at."""
+    sources = instantiate(cfg.scene.objects, _convert_="all").libraries()
+    if not sources:
         raise UserError(
-            "scene.objects: procedural objects need no preparation: choose scene/objects=folder or objaverse"
+            "scene.objects: procedural objects need no preparation: choose scene/objects=folder, furniture or objaverse"
         )
+    return [_prepared(source, cfg, console) for source in sources]
+
+
+def _prepared(source: PreparedObjects, cfg: DictConfig, console: Console) -> Library:
     with counting(console, "objects") as (show, _), instantiate(cfg.farm) as farm:
         library = prepare(source, farm.map, show)
     counts = ", ".join(f"{count} {name}" for name, count in library.index.counts.items())
@@ -82,9 +85,9 @@ def _prepare(cfg: DictConfig, console: Console) -> Library:
 
 
 def _make(cfg: DictConfig, console: Console) -> Manifest | None:
-    source = instantiate(cfg.scene.objects, _convert_="all")
-    if isinstance(source, PreparedObjects) and not source.is_prepared():
-        _prepare(cfg, console)
+    for source in instantiate(cfg.scene.objects, _convert_="all").libraries():
+        if not source.is_prepared():
+            _prepared(source, cfg, console)
     recipe, part = _recipe(cfg), Slice(**cfg.slice)
     console.print(f"Data set '{recipe.name}' → {recipe.root}")
     begin = time.perf_counter()

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from rfpp.errors import SceneError
 
@@ -60,6 +61,29 @@ def normalized(mesh: Mesh) -> Mesh:
     if radius == 0:
         raise SceneError("all vertices coincide: check the mesh")
     return Mesh(centred * (0.5 / radius), mesh.faces)
+
+
+def joined(parts: Sequence[Mesh]) -> Mesh:
+    """All in one, their vertices and faces one after the other."""
+    starts = np.cumsum([0, *(len(part.vertices) for part in parts[:-1])])
+    return Mesh(
+        np.concatenate([part.vertices for part in parts]),
+        np.concatenate([part.faces + start for part, start in zip(parts, starts, strict=True)]),
+    )
+
+
+def taken_apart(whole: Mesh, part_faces: Sequence[int] | Int[np.ndarray, " parts"]) -> tuple[Mesh, ...]:
+    """Its first so many faces, the next and so on, each with the vertices that it uses: undoes `joined`."""
+    pieces = []
+    for faces in np.split(whole.faces, np.cumsum(part_faces)[:-1]):
+        used, renumbered = np.unique(faces, return_inverse=True)
+        pieces.append(Mesh(whole.vertices[used], renumbered.reshape(-1, 3)))
+    return tuple(pieces)
+
+
+def normalized_together(parts: Sequence[Mesh]) -> tuple[Mesh, ...]:
+    """The parts of one object where `normalized` puts the whole."""
+    return taken_apart(normalized(joined(parts)), [len(part) for part in parts])
 
 
 def decimated(mesh: Mesh, target_faces: int) -> Mesh:

@@ -52,3 +52,18 @@ def source(folder: Path, root: Path, held_out: float = 0.4, **preparation) -> Fo
 
 def prepared(objects: FolderObjects) -> Library:
     return prepare(objects, one_by_one, lambda done, total: None)
+
+
+def write_obj(path, *groups):
+    """Of (material, mesh) pairs, without any MTL file."""
+    lines, start = [], 1
+    for material, mesh in groups:
+        lines += [f"v {x} {y} {z}" for x, y, z in mesh.vertices] + [f"usemtl {material}"]
+        lines += [f"f {a} {b} {c}" for a, b, c in mesh.faces + start]
+        start += len(mesh.vertices)
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def box(size, at=(0, 0, 0)):
+    return trimesh.creation.box(size, trimesh.transformations.translation_matrix(at))

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Int
 
 from rfpp.errors import SceneError
+from rfpp.scene.mesh import Mesh, joined
 from rfpp.scene.sampling.backgrounds import Background, BackgroundSampler
 from rfpp.scene.sampling.cameras import CameraSampler
 from rfpp.scene.sampling.interval import Interval, freeze_intervals, uniform_integer
@@ -105,6 +106,8 @@ class SceneFamily:
     def sample(self, scene_rng: np.random.Generator, camera_rng: np.random.Generator, *, held_out: bool) -> Scene:
         """A scene: background panels, then objects, then lights, named background_0, object_0, light_0 and so on.
 
+        Of an object in several parts each is one of the scene's objects, named object_0_0, object_0_1 and so on.
+
         Objects come from those that are held out for test scenes, or from all others. The same generators give the
         same scene. Raises SceneError where the family's numbers contradict one another.
         """
@@ -112,11 +115,12 @@ class SceneFamily:
         background = self.backgrounds.sample(streams[0])
         lights = self.lights.sample(streams[1], background.open_side)
         targets = self.budget.sample(streams[2], taken=background.triangle_count + len(lights))
-        meshes = [self.objects.sample(streams[3], int(target), held_out) for target in targets]
-        transforms = self.placement.sample(streams[4], meshes, background.open_side)
+        drawn = [self.objects.sample(streams[3], int(target), held_out) for target in targets]
+        transforms = self.placement.sample(streams[4], [joined(parts) for parts in drawn], background.open_side)
         objects = [
-            SceneObject(name=f"object_{i}", mesh=mesh, material=self.materials.sample(streams[5]), transform=transform)
-            for i, (mesh, transform) in enumerate(zip(meshes, transforms, strict=True))
+            SceneObject(name=name, mesh=mesh, material=self.materials.sample(streams[5]), transform=transform)
+            for i, (parts, transform) in enumerate(zip(drawn, transforms, strict=True))
+            for name, mesh in _named(f"object_{i}", parts).items()
         ]
         return Scene(
             name=self.name,
@@ -136,3 +140,7 @@ class SceneFamily:
             )
             for i, (mesh, transform) in enumerate(zip(background.meshes, background.transforms, strict=True))
         ]
+
+
+def _named(name: str, parts: tuple[Mesh, ...]) -> dict[str, Mesh]:
+    return {name: parts[0]} if len(parts) == 1 else {f"{name}_{i}": part for i, part in enumerate(parts)}

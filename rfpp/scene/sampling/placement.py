@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from jaxtyping import Float
 
 from rfpp.errors import SceneError
 from rfpp.scene.mesh import Mesh
@@ -63,7 +64,7 @@ class Placement:
         self, rng: np.random.Generator, mesh: Mesh, radius: float, open_side: OpenSide, boxes: np.ndarray
     ) -> tuple[Transform, np.ndarray]:
         """A transform that keeps clear of the panels and of the boxes [N, 2, 3], and the world box [2, 3] it fills."""
-        rotation = uniform(rng, self.rotation, 3)
+        rotation = self._rotation(rng)
         floats = rng.random() < self.floating
         rotated = mesh.vertices @ rotation_matrix(tuple(rotation)).T
         unit_box = np.stack([rotated.min(axis=0), rotated.max(axis=0)])
@@ -84,6 +85,9 @@ class Placement:
                 return transform, box + centre
             scale *= self.shrink
         raise SceneError("an object found no room: lower Placement.sizes, margin or the number of objects")
+
+    def _rotation(self, rng: np.random.Generator) -> Float[np.ndarray, 3]:
+        return uniform(rng, self.rotation, 3)
 
     def _candidates(
         self, rng: np.random.Generator, box: np.ndarray, reach: np.ndarray, open_side: OpenSide, floats: bool
@@ -107,3 +111,18 @@ class Placement:
         in_front = (open_side.distances(centres)[:, 1:] + reach[1:] >= self.margin).all(axis=1)
         apart = (low[:, None] > boxes[:, 1] + self.margin) | (high[:, None] < boxes[:, 0] - self.margin)
         return inside & in_front & apart.any(axis=2).all(axis=1)
+
+
+@dataclass(frozen=True)
+class UprightPlacement(Placement):
+    """As furniture stands in a room: most objects are turned about the vertical alone.
+
+    Attributes:
+        upright: the probability of that.
+    """
+
+    upright: float
+
+    def _rotation(self, rng: np.random.Generator) -> Float[np.ndarray, 3]:
+        rotation = super()._rotation(rng)
+        return rotation * (0, 0, 1) if rng.random() < self.upright else rotation

@@ -1,4 +1,4 @@
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -11,6 +11,7 @@ from rfpp.errors import SceneError
 from rfpp.scene.sampling.backgrounds import KINDS
 from rfpp.scene.sampling.objects.procedural import ProceduralObjects
 from rfpp.scene.sampling.open_region import OpenSide
+from rfpp.scene.sampling.placement import UprightPlacement
 from rfpp.scene.sampling.sizes import UniformRadius
 from rfpp.scene.triangles import SceneTriangles, rotation_matrix
 
@@ -102,3 +103,13 @@ def test_sizes_do_not_depend_on_the_kind_of_background_in_the_mean():
         sizes[len(objects(scene, "background"))] += [item.transform.scale[0] / expected for item in items]
     means = [np.mean(v) for v in sizes.values()]
     assert max(means) / min(means) < 1.5
+
+
+def test_upright_objects_are_turned_about_the_vertical_alone():
+    values = {field.name: getattr(PLACEMENT, field.name) for field in fields(PLACEMENT)}
+    shares = []
+    for upright in (0.0, 0.5, 1.0):
+        drawn = UprightPlacement(**values, upright=upright).sample(np.random.default_rng(0), [PEBBLE] * 40, FLOOR)
+        shares.append(np.mean([t.rotation[:2] == (0, 0) for t in drawn]))
+        assert len({t.rotation[2] for t in drawn}) == 40
+    assert shares[0] == 0 and 0.25 < shares[1] < 0.75 and shares[2] == 1

@@ -28,10 +28,13 @@ class Bipyramids:
     """Closed solids of any even number of faces."""
 
     def sample(self, rng, target_faces, held_out):
-        return bipyramid(target_faces // 2)
+        return (bipyramid(target_faces // 2),)
 
-    def content(self):
-        return {}
+    def account(self, configured):
+        return dict(configured)
+
+    def libraries(self):
+        return ()
 
 
 @cache

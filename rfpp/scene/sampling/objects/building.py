@@ -59,7 +59,7 @@ def prepare(source: PreparedObjects, map: Map, progress: Callable[[int, int], No
         outcomes[original.id] = _outcome(original, result)
         progress(len(outcomes), len(originals))
     index = _index(source, [outcomes[o.id] for o in originals])
-    content = json.dumps(index.model_dump(), indent=1, ensure_ascii=False) + "\n"
+    content = json.dumps(index.model_dump(exclude_defaults=True), indent=1, ensure_ascii=False) + "\n"
     write_atomically(source.library_root / INDEX, content.encode())
     return Library.load(source.library_root)
 
@@ -96,24 +96,26 @@ class PrepareOriginal:
     def _outcome(self, original: Original) -> Prepared | Rejected:
         if original.path is None:
             return Rejected(id=original.id, sha256=None, reason="not available", detail="it could not be downloaded")
+        sha256 = None
         try:
-            sha256 = _sha256(original.path)
-        except OSError as error:
-            detail = error.strerror or str(error)
-            return Rejected(id=original.id, sha256=None, reason="unreadable", detail=detail)
-        try:
-            prepared = self.preparation(original.path)
+            with original.file() as path:
+                sha256 = _sha256(path)
+                prepared = self.preparation(path)
+        except (OSError, SceneError) as error:
+            detail = getattr(error, "strerror", None) or str(error)
+            return Rejected(id=original.id, sha256=sha256, reason="unreadable", detail=detail)
         except RejectionError as error:
             return Rejected(id=original.id, sha256=sha256, reason=error.reason, detail=error.detail)
-        content = encoded_mesh(prepared.mesh)
+        content = encoded_mesh(prepared.parts)
         write_atomically(mesh_path(self.root, original.id), content)
         return Prepared(
             id=original.id,
             sha256=sha256,
             mesh_sha256=hashlib.sha256(content).hexdigest(),
             faces_before=prepared.faces_before,
-            faces=len(prepared.mesh),
+            faces=sum(map(len, prepared.parts)),
             watertight=prepared.watertight,
+            parts=len(prepared.parts),
         )
 
 
@@ -151,7 +153,14 @@ def _index(source: PreparedObjects, outcomes: list[Prepared | Rejected]) -> Inde
     parts = {True: "held_out", False: "train"}
     objects = [LibraryObject(**item.model_dump(), part=parts[item.id in held_out]) for item in prepared]
     counts = dict(Counter(item.part for item in objects)) | {reason: reasons[reason] for reason in sorted(reasons)}
-    return Index(version=1, settings=source.settings(), counts=counts, objects=tuple(objects), rejected=tuple(rejected))
+    return Index(
+        version=1,
+        settings=source.settings(),
+        counts=counts,
+        objects=tuple(objects),
+        rejected=tuple(rejected),
+        attribution=source.attribution(),
+    )
 
 
 def _held_out(ids: list[str], share: float) -> set[str]:

@@ -1,7 +1,8 @@
 """Libraries of prepared objects on disk: an index and one file per mesh.
 
 <root>/library.json                 the objects, their parts, the rejected ones, counts
-<root>/meshes/<xx>/<key>.safetensors    vertices float32 [V, 3], faces int32 [F, 3]
+<root>/meshes/<xx>/<key>.safetensors    vertices float32 [V, 3], faces int32 [F, 3]; where an object has several parts,
+                                        also the number of faces of each, part_faces int32 [P]
 <root>/records/<xx>/<key>.json          what became of each original: makes preparation resumable
 """
 
@@ -9,16 +10,18 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
 import safetensors.numpy
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from rfpp.errors import SceneError
-from rfpp.scene.mesh import Mesh
+from rfpp.scene.mesh import Mesh, joined, taken_apart
 from rfpp.scene.sampling.objects.preparation import Reason
 from rfpp.scene.spec import first_problem
 
@@ -40,6 +43,7 @@ class Prepared(Entry):
         mesh_sha256: of the prepared mesh's file.
         faces_before, faces: of the original and of the prepared mesh.
         watertight: every edge touches two faces.
+        parts: pieces of it that get materials of their own.
     """
 
     id: str
@@ -48,6 +52,7 @@ class Prepared(Entry):
     faces_before: int
     faces: int
     watertight: bool
+    parts: int = 1
 
 
 class LibraryObject(Prepared):
@@ -66,13 +71,14 @@ class Rejected(Entry):
 
 
 class Index(Entry):
-    """The content of library.json, sorted by id. `settings` are those of the source that it was made from."""
+    """The content of library.json, sorted by id. `settings` and `attribution` are those of its source."""
 
     version: Literal[1]
     settings: dict[str, Any]
     counts: dict[str, int]
     objects: tuple[LibraryObject, ...]
     rejected: tuple[Rejected, ...]
+    attribution: dict[str, Any] = {}
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,8 +117,8 @@ class Library:
     def _parts(self) -> dict[str, tuple[LibraryObject, ...]]:
         return {part: tuple(item for item in self.index.objects if item.part == part) for part in ("train", "held_out")}
 
-    def mesh(self, item: Prepared) -> Mesh:
-        """The prepared mesh. Raises SceneError if its file is missing or damaged."""
+    def parts(self, item: Prepared) -> tuple[Mesh, ...]:
+        """The prepared object, in its parts. Raises SceneError if its file is missing or damaged."""
         path = mesh_path(self.root, item.id)
         try:
             content = path.read_bytes()
@@ -121,12 +127,17 @@ class Library:
         if hashlib.sha256(content).hexdigest() != item.mesh_sha256:
             raise SceneError(f"{path}: is damaged, its sha256 is another: prepare the library again")
         arrays = safetensors.numpy.load(content)
-        return Mesh(arrays["vertices"], arrays["faces"])
+        whole = Mesh(arrays["vertices"], arrays["faces"])
+        return taken_apart(whole, arrays["part_faces"]) if "part_faces" in arrays else (whole,)
 
 
-def encoded_mesh(mesh: Mesh) -> bytes:
-    """The content of a mesh's file; equal meshes are equal bytes."""
-    return safetensors.numpy.save({"vertices": mesh.vertices, "faces": mesh.faces})
+def encoded_mesh(parts: Sequence[Mesh]) -> bytes:
+    """The content of a mesh's file; equal objects are equal bytes."""
+    whole = joined(parts)
+    arrays = {"vertices": whole.vertices, "faces": whole.faces}
+    if len(parts) > 1:
+        arrays["part_faces"] = np.array([len(part) for part in parts], np.int32)
+    return safetensors.numpy.save(arrays)
 
 
 def mesh_path(root: Path, original_id: str) -> Path:

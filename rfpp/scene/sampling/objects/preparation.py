@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Literal, TypeVar
 
 import numpy as np
 import trimesh
@@ -17,6 +18,8 @@ from rfpp.scene.sampling.objects.solid import closed_decimation, volume
 
 #: An object thinner than this share of its longest side, or that fills less of its box, has nothing inside.
 _FLAT = 1e-3
+
+T = TypeVar("T")
 
 Reason = Literal[
     "unreadable",
@@ -50,12 +53,12 @@ class PreparedMesh:
     """What became of a mesh.
 
     Attributes:
-        mesh: normalised, with at most the tier's number of faces, facing outwards if it is watertight.
+        parts: together normalised, with at most the tier's number of faces, facing outwards where it is watertight.
         faces_before: of the file.
         watertight: every edge touches two faces.
     """
 
-    mesh: Mesh
+    parts: tuple[Mesh, ...]
     faces_before: int
     watertight: bool
 
@@ -82,32 +85,44 @@ class Preparation:
 
     def __call__(self, path: Path) -> PreparedMesh:
         """Prepare the mesh in a file. Raises RejectionError."""
-        try:
-            original = load_mesh(path)
-        except SceneError as error:
-            raise RejectionError("unreadable", str(error).removeprefix(f"{path}: ")) from None
-        mesh = _cleaned(original)
+        original = readable(load_mesh, path)
+        mesh = cleaned(original)
+        self._require_body(mesh)
+        watertight = self._watertight(mesh)
+        reduced = self._to_tier(facing_outwards(mesh, watertight), watertight)
+        if watertight and volume(reduced) < _FLAT * np.prod(np.ptp(reduced.vertices, axis=0)):
+            raise RejectionError("flat", "it encloses next to no volume")
+        return PreparedMesh((normalized(reduced),), len(original), watertight)
+
+    def _require_body(self, mesh: Mesh) -> None:
         if len(mesh) < self.min_faces:
             raise RejectionError("too few faces", f"{len(mesh)} after clean-up")
         sides = np.ptp(mesh.vertices, axis=0)
         if sides.min() < _FLAT * sides.max():
             raise RejectionError("flat", f"its sides are {' x '.join(f'{side:.3g}' for side in sides)}")
+
+    def _watertight(self, mesh: Mesh) -> bool:
         watertight = is_closed(mesh)
         if not watertight and self.non_watertight == "reject":
             raise RejectionError("not watertight", "some edge does not touch exactly two faces")
-        reduced = self._reduced(_facing_outwards(mesh, watertight), watertight)
-        if watertight and volume(reduced) < _FLAT * np.prod(np.ptp(reduced.vertices, axis=0)):
-            raise RejectionError("flat", "it encloses next to no volume")
-        return PreparedMesh(normalized(reduced), len(original), watertight)
+        return watertight
 
-    def _reduced(self, mesh: Mesh, watertight: bool) -> Mesh:
+    def _to_tier(self, mesh: Mesh, watertight: bool) -> Mesh:
         try:
             return closed_decimation(mesh, self.max_faces) if watertight else decimated(mesh, self.max_faces)
         except SceneError as error:
             raise RejectionError("cannot be decimated", str(error)) from None
 
 
-def _cleaned(mesh: Mesh) -> Mesh:
+def readable(reader: Callable[[Path], T], path: Path) -> T:
+    """What `reader` makes of a file. Raises RejectionError where it cannot."""
+    try:
+        return reader(path)
+    except SceneError as error:
+        raise RejectionError("unreadable", str(error).removeprefix(f"{path}: ")) from None
+
+
+def cleaned(mesh: Mesh) -> Mesh:
     """Coinciding vertices made one, without faces of zero area or that repeat others."""
     try:
         solid = without_degenerate_faces(welded(mesh))
@@ -117,7 +132,7 @@ def _cleaned(mesh: Mesh) -> Mesh:
     return Mesh(solid.vertices, solid.faces[np.sort(first)])
 
 
-def _facing_outwards(mesh: Mesh, watertight: bool) -> Mesh:
+def facing_outwards(mesh: Mesh, watertight: bool) -> Mesh:
     """Neighbouring faces made to agree about the outside, which is turned out where there is an inside."""
     surface = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
     if not surface.is_winding_consistent:

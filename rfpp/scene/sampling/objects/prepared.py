@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 
 from rfpp.errors import SceneError
-from rfpp.scene.mesh import Mesh, decimated, normalized
+from rfpp.scene.io.limits import MAX_TEXT_BYTES
+from rfpp.scene.mesh import Mesh, decimated, normalized_together
+from rfpp.scene.sampling.objects.archive import read_member
 from rfpp.scene.sampling.objects.library import Library
+from rfpp.scene.sampling.objects.material_groups import face_shares
 from rfpp.scene.sampling.objects.preparation import Preparation
-from rfpp.scene.sampling.objects.refinement import refined
+from rfpp.scene.sampling.objects.refinement import is_closed, refined
 from rfpp.scene.sampling.objects.solid import closed_decimation
 
 #: Objects drawn for one place in a scene before the request counts as impossible.
@@ -28,12 +33,25 @@ class Original:
     Attributes:
         id: names it in the library, on every machine.
         stamp: another one after the mesh has changed.
-        path: its file; None if it could not be had.
+        path: its file, or the zip archive that holds it; None if it could not be had.
+        member: its name in the archive.
     """
 
     id: str
     stamp: str
     path: Path | None = None
+    member: str | None = None
+
+    @contextmanager
+    def file(self) -> Iterator[Path]:
+        """The mesh's file, while the context is open. Raises SceneError where an archive does not give it."""
+        if self.member is None:
+            yield self.path
+            return
+        with TemporaryDirectory() as folder:
+            path = Path(folder) / f"mesh{Path(self.member).suffix.lower()}"
+            path.write_bytes(read_member(self.path, self.member, MAX_TEXT_BYTES))
+            yield path
 
 
 @dataclass(frozen=True)
@@ -71,6 +89,10 @@ class PreparedObjects(ABC):
     def origin(self) -> dict[str, Any]:
         """What names the originals, as JSON that is the same on every machine."""
 
+    def attribution(self) -> dict[str, Any]:
+        """Who made the originals and on what terms they may be used, as JSON; empty where that is not known."""
+        return {}
+
     @property
     def library_root(self) -> Path:
         """The library's folder."""
@@ -107,28 +129,40 @@ class PreparedObjects(ABC):
             return False
         return True
 
-    def content(self) -> dict[str, Any]:
-        """The hash of the library."""
-        return {"library": self.library().hash}
+    def libraries(self) -> tuple[PreparedObjects, ...]:
+        """This one."""
+        return (self,)
 
-    def sample(self, rng: np.random.Generator, target_faces: int, held_out: bool) -> Mesh:
+    def account(self, configured: Mapping[str, Any]) -> dict[str, Any]:
+        """The hash of the library, not where it came from, and whom its objects are owed to where it says so."""
+        library = self.library()
+        owed = {"attribution": library.index.attribution} if library.index.attribution else {}
+        return {"library": library.hash} | owed
+
+    def sample(self, rng: np.random.Generator, target_faces: int, held_out: bool) -> tuple[Mesh, ...]:
         """A random object of the library, decimated or refined to `target_faces` faces or one below.
 
-        An object that cannot be reduced so far, or not without holes, gives way to the next draw.
+        The faces are shared out among its parts in proportion to what they have. An object that cannot be reduced
+        so far, or not without holes, gives way to the next draw.
         """
         library = self.library()
         objects = library.part(held_out)
         for _ in range(_ATTEMPTS):
             item = objects[int(rng.integers(len(objects)))]
-            whole = library.mesh(item)
+            parts = library.parts(item)
             try:
-                coarse = (closed_decimation if item.watertight else decimated)(whole, target_faces)
+                shares = [target_faces] if len(parts) == 1 else face_shares([len(part) for part in parts], target_faces)
+                sized = [_with_faces(part, share) for part, share in zip(parts, shares, strict=True)]
             except SceneError:
                 continue
-            mesh = refined(coarse, target_faces)
-            if target_faces - len(mesh) <= 1:
-                return normalized(mesh)
+            if all(share - len(part) <= 1 for part, share in zip(sized, shares, strict=True)):
+                return normalized_together(sized)
         raise SceneError(
             f"{self.library_root}: none of {_ATTEMPTS} objects can have {target_faces} faces: "
             "raise scene.budget.per_object or bring other meshes"
         )
+
+
+def _with_faces(part: Mesh, faces: int) -> Mesh:
+    """With so many faces, or fewer where it cannot be refined so far. Raises SceneError if so few cannot be had."""
+    return refined((closed_decimation if is_closed(part) else decimated)(part, faces), faces)

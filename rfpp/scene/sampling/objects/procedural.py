@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -78,10 +78,10 @@ class ProceduralObjects:
         """Objects 0 … training_objects - 1 are for training, the others for test scenes."""
         return self.pool - round(self.pool * self.held_out)
 
-    def sample(self, rng: Rng, target_faces: int, held_out: bool) -> Mesh:
-        """A random object of the pool with the faces that `mesh` gives it."""
+    def sample(self, rng: Rng, target_faces: int, held_out: bool) -> tuple[Mesh, ...]:
+        """A random object of the pool, in one part, with the faces that `mesh` gives it."""
         first, end = (self.training_objects, self.pool) if held_out else (0, self.training_objects)
-        return self.mesh(int(rng.integers(first, end)), target_faces)
+        return (self.mesh(int(rng.integers(first, end)), target_faces),)
 
     def mesh(self, number: int, target_faces: int) -> Mesh:
         """Object `number` with `target_faces` faces, or one below if that is odd: closed, facing outwards, normalised.
@@ -101,9 +101,13 @@ class ProceduralObjects:
                 return mesh
         return normalized(with_face_count(from_manifold(unit_sphere(target_faces)), target_faces))
 
-    def content(self) -> dict[str, Any]:
-        """Nothing: the configuration says it all."""
-        return {}
+    def account(self, configured: Mapping[str, Any]) -> dict[str, Any]:
+        """The configuration says it all."""
+        return dict(configured)
+
+    def libraries(self) -> tuple[()]:
+        """None."""
+        return ()
 
     def _solid(self, rng: Rng, target_faces: int) -> Mesh:
         mesh = KINDS[self.kinds[int(rng.integers(len(self.kinds)))]](rng, target_faces)

@@ -7,6 +7,7 @@ from hydra.utils import instantiate
 from mesh_folders import fill, prepared
 from scene_families import draw, family, objects
 
+from rfpp.scene.mesh import joined
 from rfpp.scene.sampling.objects.folder import FolderObjects
 from rfpp.scene.sampling.objects.objaverse import ObjaverseObjects
 from rfpp.scene.sampling.objects.procedural import KINDS, ProceduralObjects
@@ -29,7 +30,7 @@ def test_every_family_shows_all_kinds_of_one_pool(name):
     assert isinstance(source, ProceduralObjects)
     assert set(source.kinds) == set(KINDS)
     assert source.training_objects == 90000
-    assert source.content() == {}
+    assert source.account({"pool": 7}) == {"pool": 7}
 
 
 @pytest.mark.parametrize("experiment", ["quickstart", "small_scale", "large_scale", "renderformer_data"])
@@ -50,7 +51,8 @@ def test_scenes_of_a_folder_keep_test_meshes_for_test_scenes(tmp_path):
     library = prepared(source.objects)
     boxes = {
         held_out: {
-            tuple(np.sort(np.ptp(library.mesh(item).vertices, axis=0)).round(2)) for item in library.part(held_out)
+            tuple(np.sort(np.ptp(joined(library.parts(item)).vertices, axis=0)).round(2))
+            for item in library.part(held_out)
         }
         for held_out in (False, True)
     }

@@ -11,6 +11,7 @@ from mesh_folders import GOOD, bowl, fill, prepared, source
 
 from rfpp.errors import SceneError, UserError
 from rfpp.scene.io.mesh_files import load_mesh
+from rfpp.scene.mesh import joined
 from rfpp.scene.sampling.objects.building import one_by_one, prepare
 from rfpp.scene.sampling.objects.library import Library, mesh_path
 from rfpp.scene.sampling.objects.object_source import ObjectSource
@@ -50,8 +51,8 @@ def test_every_file_of_the_tree_becomes_an_object(objects):
     assert library.index.rejected == ()
     assert {item.id: item.faces_before for item in library.index.objects}["ball.obj"] == 5120
     for item in library.index.objects:
-        assert item.faces == len(library.mesh(item)) <= 400
-        assert item.watertight and is_closed(library.mesh(item))
+        assert item.faces == len(joined(library.parts(item))) <= 400
+        assert item.watertight and is_closed(joined(library.parts(item)))
     assert library.index.counts == Counter(item.part for item in library.index.objects)
 
 
@@ -180,12 +181,12 @@ def test_objects_are_drawn_from_their_part_at_the_asked_face_count(objects):
     for held_out in (False, True):
         rng = np.random.default_rng(0)
         for target in (50, 151, 300, 1200) * 4:
-            mesh = objects.sample(rng, target, held_out)
+            (mesh,) = objects.sample(rng, target, held_out)
             assert len(mesh) == target // 2 * 2
             assert is_closed(mesh)
             assert np.linalg.norm(mesh.vertices, axis=1).max() == pytest.approx(0.5, abs=1e-5)
         rng = np.random.default_rng(1)
-        drawn = Counter(objects.sample(rng, 1200, held_out).vertices.tobytes() for _ in range(60))
+        drawn = Counter(objects.sample(rng, 1200, held_out)[0].vertices.tobytes() for _ in range(60))
         assert len(drawn) == len(library.part(held_out))
         shapes[held_out] = set(drawn)
     assert shapes[False].isdisjoint(shapes[True])
@@ -193,17 +194,17 @@ def test_objects_are_drawn_from_their_part_at_the_asked_face_count(objects):
 
 def test_a_library_serves_without_its_folder_and_in_other_processes(objects, folder):
     run(objects)
-    content, mesh = objects.content(), objects.sample(np.random.default_rng(0), 100, False)
+    content, (mesh,) = objects.account({}), objects.sample(np.random.default_rng(0), 100, False)
     shutil.rmtree(folder)
     assert objects.is_prepared()
     copy = pickle.loads(pickle.dumps(objects))
     assert len(pickle.dumps(objects)) < 2000  # no library inside
-    assert copy.content() == content == {"library": Library.load(objects.library_root).hash}
-    assert np.array_equal(copy.sample(np.random.default_rng(0), 100, False).vertices, mesh.vertices)
+    assert copy.account({}) == content == {"library": Library.load(objects.library_root).hash}
+    assert np.array_equal(copy.sample(np.random.default_rng(0), 100, False)[0].vertices, mesh.vertices)
 
 
 def test_unprepared_sources_say_how_to_prepare_them(objects, folder):
-    for ask in (objects.content, lambda: objects.sample(np.random.default_rng(0), 100, False)):
+    for ask in (lambda: objects.account({}), lambda: objects.sample(np.random.default_rng(0), 100, False)):
         with pytest.raises(SceneError, match=r"not prepared: make it with .*action=prepare"):
             ask()
     assert not objects.is_prepared()
@@ -212,7 +213,7 @@ def test_unprepared_sources_say_how_to_prepare_them(objects, folder):
     other = source(folder, objects.root, held_out=0.3)
     assert not other.is_prepared()
     with pytest.raises(SceneError, match=r"other settings: make it with .*action=prepare"):
-        other.content()
+        other.account({})
     trimesh.creation.box().export(folder / "new.stl")
     assert not objects.is_prepared()
 
@@ -223,14 +224,14 @@ def test_damage_is_reported_by_name(objects):
     path.write_bytes(path.read_bytes()[:-1])
     ball = next(item for item in library.index.objects if item.id == "ball.obj")
     with pytest.raises(SceneError, match=f"{path.name}: is damaged"):
-        library.mesh(ball)
+        library.parts(ball)
     path.unlink()
     with pytest.raises(SceneError, match=f"{path.name}: cannot be read"):
-        library.mesh(ball)
+        library.parts(ball)
     (library.root / "library.json").write_text("{}")
     os.utime(library.root / "library.json", (1, 1))
     with pytest.raises(SceneError, match=r"library\.json: is damaged"):
-        objects.content()
+        objects.account({})
 
 
 def test_too_few_objects_are_refused_with_the_reasons(tmp_path):

@@ -65,7 +65,7 @@ def test_uids_become_a_library_and_those_that_are_gone_are_counted(tmp_path, hub
     assert library.index.counts["not available"] == 2
     assert hub.calls[0] == UIDS  # together, and then one by one as one of them failed
     assert capsys.readouterr().out == ""
-    assert len(objects.sample(np.random.default_rng(0), 60, held_out=True)) == 60
+    assert len(objects.sample(np.random.default_rng(0), 60, held_out=True)[0]) == 60
 
 
 def test_what_is_prepared_is_not_downloaded_again_and_a_longer_list_adds_to_it(tmp_path, hub):

@@ -27,13 +27,13 @@ def test_a_good_mesh_is_normalised_at_the_tier_and_still_closed(tmp_path, name):
     BALL.apply_translation((3, 0, 0))
     result = prepared(tmp_path, BALL, name=name)
     assert result.faces_before == 1280
-    assert len(result.mesh) == 300
-    assert result.watertight and is_closed(result.mesh)
-    assert np.linalg.norm(result.mesh.vertices, axis=1) == pytest.approx(0.5, abs=0.03)
+    assert len(result.parts[0]) == 300
+    assert result.watertight and is_closed(result.parts[0])
+    assert np.linalg.norm(result.parts[0].vertices, axis=1) == pytest.approx(0.5, abs=0.03)
 
 
 def test_a_mesh_below_the_tier_keeps_its_faces(tmp_path):
-    assert len(prepared(tmp_path, trimesh.creation.box()).mesh) == 12
+    assert len(prepared(tmp_path, trimesh.creation.box()).parts[0]) == 12
 
 
 @pytest.mark.parametrize("flipped", [slice(None), slice(0, 40)], ids=["inside out", "partly"])
@@ -41,14 +41,14 @@ def test_faces_are_turned_outwards(tmp_path, flipped):
     faces = BALL.faces.copy()
     faces[flipped] = faces[flipped][:, ::-1]
     result = prepared(tmp_path, trimesh.Trimesh(BALL.vertices, faces, process=False))
-    assert volume(result.mesh) == pytest.approx(np.pi / 6, rel=0.15)
+    assert volume(result.parts[0]) == pytest.approx(np.pi / 6, rel=0.15)
 
 
 def test_repeated_and_degenerate_faces_are_cleaned_away(tmp_path):
     dirty = np.concatenate([BALL.faces, BALL.faces[:5], [[0, 0, 1], [3, 3, 3]]])
     result = prepared(tmp_path, trimesh.Trimesh(BALL.vertices, dirty, process=False))
     assert result.faces_before == 1287
-    assert result.watertight and len(result.mesh) == 300
+    assert result.watertight and len(result.parts[0]) == 300
 
 
 REJECTED = {
@@ -96,8 +96,8 @@ def test_what_decimation_tears_open_or_gives_up_is_rejected(tmp_path, monkeypatc
 def test_open_meshes_can_be_kept(tmp_path):
     result = prepared(tmp_path, bowl(), TOLERANT)
     assert not result.watertight
-    assert 0 < len(result.mesh) <= 300
-    assert np.linalg.norm(result.mesh.vertices, axis=1).max() == pytest.approx(0.5, abs=1e-5)
+    assert 0 < len(result.parts[0]) <= 300
+    assert np.linalg.norm(result.parts[0].vertices, axis=1).max() == pytest.approx(0.5, abs=1e-5)
 
 
 def test_wrong_settings_are_refused():
