@@ -37,7 +37,8 @@ def main(cfg: DictConfig) -> Path:
     """Solve for the lights of `cfg.scene`; returns the scene file that has them."""
     console = Console(highlight=False, soft_wrap=True)
     path, targets = Path(required(cfg, "scene")), _listed(required(cfg, "target"))
-    scene = load_scene(path, triangles=cfg.triangles, up=cfg.up, transparent=cfg.transparent)
+    how = {name: cfg[name] for name in ("triangles", "up", "transparent", "backdrop")}
+    scene = load_scene(path, **how)
     cameras = list(range(len(targets))) if cfg.cameras is None else [int(camera) for camera in _listed(cfg.cameras)]
     if len(cameras) != len(targets):
         raise UserError(f"target: {len(targets)} pictures for cameras={cameras}: give one for each")

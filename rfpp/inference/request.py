@@ -12,6 +12,7 @@ from pydantic import BeforeValidator, Field, field_validator
 
 from rfpp.errors import UserError
 from rfpp.inference.layers import checked_layers
+from rfpp.scene.io.backdrop import Backdrop
 from rfpp.scene.io.loading import load_scene
 from rfpp.scene.packed import PackedScene
 from rfpp.scene.spec import Scene, Strict
@@ -41,7 +42,7 @@ class Request(Strict):
         output: a folder, or the path of the EXR or MP4 file of a single scene.
         resolution: (height, width), or None for the network's.
         cameras: numbers, or None for all.
-        triangles, up, transparent: of `load_scene`.
+        triangles, up, transparent, backdrop: of `load_scene`.
         layers: G-buffer channels for the EXR.
         exposure: stops.
         light_samples: shadow rays per light and pixel, and rays into reflections.
@@ -61,6 +62,7 @@ class Request(Strict):
     triangles: Positive | None
     up: Literal["y", "z"] | None
     transparent: Literal["opaque", "drop", "refuse"]
+    backdrop: Backdrop
     layers: Annotated[tuple[str, ...], BeforeValidator(_listed)]
     exposure: Annotated[float, Field(ge=-64, le=64)]
     light_samples: Positive
@@ -103,7 +105,8 @@ class Request(Strict):
 
     def load(self, scene: Path) -> Scene | PackedScene:
         """One of the scenes."""
-        return load_scene(scene, triangles=self.triangles, up=self.up, transparent=self.transparent)
+        how = {name: getattr(self, name) for name in ("triangles", "up", "transparent", "backdrop")}
+        return load_scene(scene, **how)
 
     @property
     def sampling(self) -> dict[str, int | None]:

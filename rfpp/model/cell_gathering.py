@@ -34,15 +34,19 @@ class EvenGathering:
         """What it needs of the G-buffer, in order."""
         return (*GATHERING_CHANNELS, *self.window.channels)
 
-    def __call__(self, gbuffer: Float[Tensor, "n c h w"], cells: LitCells) -> Float[Tensor, "n 6 h w"]:
+    def __call__(
+        self, gbuffer: Float[Tensor, "n c h w"], cells: LitCells, shared: Float[Tensor, "n 3 h w"] | float = 0.0
+    ) -> Float[Tensor, "n 6 h w"]:
         """Light that the diffuse and the glossy lobe gather, in N views, equally many of each scene.
 
         Args:
             gbuffer: `channels`.
             cells: lit.
+            shared: glossy light that pixels know, to be shared in the same way.
         """
         lobes, guides = lobes_of(gbuffer, cells, self.window)
         gathered = [lobe.light.mean(1).permute(0, 3, 1, 2) + lobe.highlights for lobe in lobes]
+        gathered[1] = gathered[1] + shared
         return self.window(torch.cat(gathered, dim=1), guides)
 
 
@@ -76,13 +80,18 @@ class CellGathering(nn.Module):
         return (*GATHERING_CHANNELS, *self.window.channels)
 
     def forward(
-        self, maps: Float[Tensor, "n maps h w"], gbuffer: Float[Tensor, "n c h w"], cells: LitCells
+        self,
+        maps: Float[Tensor, "n maps h w"],
+        gbuffer: Float[Tensor, "n c h w"],
+        cells: LitCells,
+        shared: Float[Tensor, "n 3 h w"] | float = 0.0,
     ) -> Float[Tensor, "n 6 h w"]:
         """See EvenGathering."""
         lobes, guides = lobes_of(gbuffer, cells, self.window)
         keys = nn.functional.linear(cells.features.float(), self.keys.weight.float()).chunk(2, dim=-1)
         of_lobes = zip(maps.chunk(2, dim=1), lobes, keys, strict=True)
         gathered = [self._gathered(m, key, lobe) + lobe.highlights for m, lobe, key in of_lobes]
+        gathered[1] = gathered[1] + shared
         return self.window(torch.cat(gathered, dim=1), guides)
 
     def _gathered(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
@@ -18,16 +20,38 @@ KNOWN = ("albedo", "specular", "direct_diffuse", "direct_glossy", "reflected_lig
 
 
 def radiance_of(
-    view: ViewChannels, gathered: Float[Tensor, "n 6 h w"], factors: Float[Tensor, "n 6 h w"] | float = 1.0
+    view: ViewChannels,
+    gathered: Float[Tensor, "n 6 h w"],
+    factors: Float[Tensor, "n 6 h w"] | float = 1.0,
+    of_reflected: Float[Tensor, "n 1 h w"] | float = 1.0,
 ) -> Float[Tensor, "n 3 h w"]:
     """albedo · (known + gathered diffuse light) + specular · (known + gathered glossy light).
 
     Args:
         factors: of the known light.
+        of_reflected: the share of `reflected_light` that is not in the gathered light.
     """
     albedo, specular, diffuse, glossy, reflected = view.linear(KNOWN).chunk(5, dim=1)
-    diffuse, glossy = (factors * torch.cat([diffuse, glossy + reflected], dim=1) + gathered).chunk(2, dim=1)
+    known = torch.cat([diffuse, glossy + of_reflected * reflected], dim=1)
+    diffuse, glossy = (factors * known + gathered).chunk(2, dim=1)
     return albedo * diffuse + specular * glossy
+
+
+def radiance_with(
+    gather: Callable[[Float[Tensor, "n 3 h w"]], Float[Tensor, "n 6 h w"]], of_points: ViewChannels, supersampling: int
+) -> Float[Tensor, "n 3 height width"]:
+    """Radiance of pixels that share what dull surfaces reflect with their neighbours, as they do gathered light.
+
+    A few rays of a broad lobe are grain, those of a window of pixels are not; a mirror's image has to stay sharp. So
+    the share of `reflected_light` that is shared is the roughness.
+
+    Args:
+        gather: from glossy light of pixels, to be shared, to gathered light with it.
+        of_points: with so many points along each side of a pixel.
+    """
+    roughness, reflected = of_points.linear(("roughness", "reflected_light")).split([1, 3], dim=1)
+    gathered = repeated(gather(means(roughness * reflected, supersampling)), supersampling)
+    return means(radiance_of(of_points, gathered, of_reflected=1 - roughness), supersampling)
 
 
 class LinearViewDecoder(ViewDecoder):
@@ -55,9 +79,11 @@ class LinearViewDecoder(ViewDecoder):
         of_points: ViewChannels,
         supersampling: int,
     ) -> Float[Tensor, "n 3 h w"]:
-        with in_float32(maps):
-            gathered = self.shading(maps, of_pixels.linear(self.shading.channels), scene.cells)
-        return means(radiance_of(of_points, repeated(gathered, supersampling)), supersampling)
+        def gather(shared: Float[Tensor, "n 3 h w"]) -> Float[Tensor, "n 6 h w"]:
+            with in_float32(maps):
+                return self.shading(maps, of_pixels.linear(self.shading.channels), scene.cells, shared)
+
+        return radiance_with(gather, of_points, supersampling)
 
     @property
     def gbuffer_channels(self) -> tuple[str, ...]:

@@ -11,12 +11,11 @@ from rfpp.model.bounces import light_after
 from rfpp.model.cell_gathering import EvenGathering
 from rfpp.model.form_factors import CastFormFactors
 from rfpp.model.joint_window import JointWindow
-from rfpp.model.linear_decoder import KNOWN, radiance_of
+from rfpp.model.linear_decoder import KNOWN, radiance_with
 from rfpp.model.lit_cells import LitCells, Reflectance
 from rfpp.model.pixel_filter import PixelFilter
 from rfpp.model.renderformer_pp import Rendering
 from rfpp.model.view_channels import ViewChannels
-from rfpp.model.view_decoder import means, repeated
 
 
 class UnlearnedRadiosity(nn.Module):
@@ -55,8 +54,7 @@ class UnlearnedRadiosity(nn.Module):
         lit = LitCells(cells, cells.area[:, None], reflectance, states[0], states[-1], before)
         unit = torch.ones(scenes * views, device=batch.gbuffer.device)
         of_points = ViewChannels(batch.gbuffer.flatten(0, 1), self.gbuffer_channels, unit)
-        of_pixels = of_points.pooled(supersampling)
-        gathered = self.gathering(of_pixels.linear(self.gathering.channels), lit)
-        radiance = means(radiance_of(of_points, repeated(gathered, supersampling)), supersampling)
+        channels = of_points.pooled(supersampling).linear(self.gathering.channels)
+        radiance = radiance_with(lambda shared: self.gathering(channels, lit, shared), of_points, supersampling)
         image = self.film(radiance).view(scenes, views, 3, height, width)
         return Rendering(log_encode(image), states[1:], cells.scenes, cells.scenes)

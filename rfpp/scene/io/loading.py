@@ -1,8 +1,8 @@
 """Any scene file: which reader it needs, and what becomes of a scene that was not made for this project.
 
 RenderFormer's JSON and H5 are taken as they are. Everything else is fitted into the box that networks know
-(`framing`), lit if it is dark (`light_rig`), given a camera if it has none, and split into objects (`grouping`), each
-step with a warning that says so.
+(`framing`), given a camera if it has none, put on a floor if it has no surroundings (`backdrop`), lit if it is dark
+(`light_rig`), and split into objects (`grouping`), each step with a warning that says so.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ import numpy as np
 
 from rfpp.errors import SceneError
 from rfpp.scene.budget import within_budget
+from rfpp.scene.io.backdrop import Backdrop, stood
 from rfpp.scene.io.framing import default_camera, framed
 from rfpp.scene.io.gltf import read_gltf
 from rfpp.scene.io.grouping import merged
@@ -54,6 +55,7 @@ def load_scene(
     triangles: int | None = None,
     up: str | None = None,
     transparent: Literal["opaque", "drop", "refuse"] = "opaque",
+    backdrop: Backdrop = "floor",
 ) -> Scene | PackedScene:
     """Read any scene.
 
@@ -66,6 +68,7 @@ def load_scene(
         triangles: a scene of more is decimated to so many.
         up: the axis that points up in OBJ (else y), PLY and STL files (else z); glTF says y.
         transparent: what becomes of surfaces that light should pass through, which nothing here does.
+        backdrop: what a foreign scene without camera, light and floor is put on: floor, corner (with two walls), none.
 
     Raises:
         SceneError: naming the file, what is wrong or cannot be represented, and the fix.
@@ -77,9 +80,11 @@ def load_scene(
         raise SceneError(f"up={up}: choose y or z")
     if transparent not in ("opaque", "drop", "refuse"):
         raise SceneError(f"transparent={transparent}: choose opaque, drop or refuse")
+    if backdrop not in ("floor", "corner", "none"):
+        raise SceneError(f"backdrop={backdrop}: choose floor, corner or none")
     suffix = path.suffix.lower()
     if path.is_dir() or suffix in _READERS:
-        scene = _imported(path, up, transparent)
+        scene = _imported(path, up, transparent, backdrop)
         total = sum(len(item.mesh) for item in scene.objects)
         if triangles is None and total > _MANY_TRIANGLES:
             warnings.warn(
@@ -107,7 +112,7 @@ def load_scene(
     return scene if triangles is None else within_budget(scene, triangles, f"{path}")
 
 
-def _imported(path: Path, up: str | None, transparent: str) -> Scene:
+def _imported(path: Path, up: str | None, transparent: str, backdrop: Backdrop) -> Scene:
     try:
         scene = _folder(path, up) if path.is_dir() else _file(path, up)
         require_bounded(sum(map(len, scene.parts)), len(scene.parts))
@@ -117,6 +122,7 @@ def _imported(path: Path, up: str | None, transparent: str) -> Scene:
         if not cameras:
             warnings.warn(f"{path}: it has no camera: one is added, in front and above", stacklevel=3)
             cameras = (default_camera(scene.parts),)
+        scene = stood(scene, backdrop, path)
         objects = tuple(_objects(merged(lit(scene, cameras[0], path), path), path))
         return Scene(name=name_of(scene.name, "scene"), objects=objects, cameras=cameras)
     except SceneError as error:

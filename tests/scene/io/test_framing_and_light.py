@@ -122,14 +122,26 @@ def test_the_estimated_irradiance_is_that_of_the_ray_caster() -> None:
     assert irradiance(parts_of(triangles)) == pytest.approx(cast(triangles), rel=0.05)
 
 
-def test_dark_scenes_get_three_lights_as_bright_as_training() -> None:
+def test_dark_scenes_get_three_lights() -> None:
     scene = ImportedScene("a", (part(),))
     with pytest.warns(UserWarning, match=r"a\.glb: it has no light: three lights are added"):
         parts = lit(scene, CAMERA, FILE)
     assert [p.name for p in parts] == ["part", "key_light", "fill_light", "back_light"]
-    assert USUAL / 3 < irradiance(parts) < USUAL * 3
+    assert USUAL / 10 < irradiance(parts) < USUAL
     for light in parts[1:]:
         assert np.linalg.norm(light.vertices.mean(axis=0)) == pytest.approx(2.4)
+
+
+def test_the_lights_that_are_added_burn_nothing_out() -> None:
+    """Not even white, in the corner of the box that is nearest to them, and turned towards them."""
+    lights, rng = quietly(lit, ImportedScene("a", (part(),)), CAMERA, FILE)[1:], np.random.default_rng(0)
+    places = rng.uniform(-0.5, 0.5, (300, 3)).round()  # corners, centres of sides and of the box
+    brightest = 0.0
+    for place, normal in zip(places, rng.normal(size=(300, 3)), strict=True):
+        aside = np.cross(normal, rng.normal(size=3))
+        patch = part(place + 1e-3 * np.stack([aside, np.cross(normal, aside), -aside]))
+        brightest = max(brightest, irradiance([patch, *lights]) / np.pi)
+    assert 0.5 < brightest < 1
 
 
 def test_a_glowing_decal_is_no_light_for_a_scene() -> None:

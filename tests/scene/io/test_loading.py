@@ -91,7 +91,7 @@ def ball_file(folder: Path, subdivisions: int = 4) -> Path:
 def test_a_budget_is_kept_and_says_what_it_cost(tmp_path: Path) -> None:
     path = ball_file(tmp_path)
     with pytest.warns(UserWarning, match=r"ball\.ply: 5,123 triangles were reduced to \d{3}$"):
-        scene = load_scene(path, triangles=600)
+        scene = load_scene(path, triangles=600, backdrop="none")
     triangles = pack(scene).triangles
     assert 500 < len(triangles) <= 600
     solid = triangles.positions[~triangles.is_emissive]
@@ -99,7 +99,7 @@ def test_a_budget_is_kept_and_says_what_it_cost(tmp_path: Path) -> None:
     assert triangles.is_emissive.sum() == 3  # lights are kept
     with warnings.catch_warnings():
         warnings.filterwarnings("error", message=".*reduced")
-        assert len(pack(load_scene(path, triangles=6000)).triangles) == 5123
+        assert len(pack(load_scene(path, triangles=6000, backdrop="none")).triangles) == 5123
 
 
 def test_what_cannot_be_reduced_keeps_more_and_larger_objects_fewer(tmp_path: Path, monkeypatch) -> None:
@@ -123,7 +123,7 @@ def test_what_cannot_be_reduced_keeps_more_and_larger_objects_fewer(tmp_path: Pa
 
 def test_impossible_budgets_say_the_least(tmp_path: Path) -> None:
     with pytest.raises(SceneError, match=r"ball\.ply: triangles=5 are too few for 4 objects: give at least 7"):
-        load_scene(ball_file(tmp_path), triangles=5)
+        load_scene(ball_file(tmp_path), triangles=5, backdrop="none")
     with pytest.raises(SceneError, match="triangles=0: give at least 1"):
         load_scene(ball_file(tmp_path), triangles=0)
 
@@ -139,7 +139,7 @@ def test_decimated_faces_keep_the_colours_of_their_place(tmp_path: Path) -> None
     mesh.visual.face_colors = np.where(upper[:, None], [255, 0, 0, 255], [0, 0, 255, 255])
     mesh.export(tmp_path / "two.ply")
     with pytest.warns(UserWarning, match="reduced"):
-        triangles = pack(load_scene(tmp_path / "two.ply", triangles=800)).triangles
+        triangles = pack(load_scene(tmp_path / "two.ply", triangles=800, backdrop="none")).triangles
     solid = ~triangles.is_emissive
     heights, red = triangles.positions[solid].mean(axis=1)[:, 2], triangles.material[solid, 0] > 0.5
     clear = np.abs(heights) > 0.05
@@ -187,9 +187,9 @@ def test_large_scenes_are_told_how_to_become_smaller(tmp_path: Path) -> None:
     trimesh.creation.icosphere(7).export(tmp_path / "fine.ply")
     with warnings.catch_warnings():
         warnings.filterwarnings("error", message=".*where training scenes")
-        load_scene(tmp_path / "fine.ply", triangles=1000)
+        load_scene(tmp_path / "fine.ply", triangles=1000, backdrop="none")
     with pytest.warns(UserWarning, match=r"327,683 triangles, where training scenes .* triangles=80000 reduces them"):
-        load_scene(tmp_path / "fine.ply")
+        load_scene(tmp_path / "fine.ply", backdrop="none")
 
 
 PARTS = b"".join(b"o %d\nf 1 2 3\n" % i for i in range(20_001))
