@@ -50,7 +50,8 @@ def main(cfg: DictConfig) -> Path:
     with stages(console) as stage:
         errors = measure(predictors, split, Path(cfg.clean), autocast, stage("scenes", len(split)))
     about = {"commit": (code_version() or "")[:12], "hardware": hardware(device)}
-    about |= {"data": split.manifest.name, "manifest": split.manifest.hash[:12]}
+    named = split.manifest.name if cfg.split == "test" else f"{split.manifest.name}, {cfg.split}"
+    about |= {"data": named, "manifest": split.manifest.hash[:12]}
     about |= {"bounces": "" if cfg.bounces is None else cfg.bounces}
     infos = {name: info for name, (_, info) in loaded.items()}
     rows = [about | light_row(name, infos.get(name), of_one) for name, of_one in errors.items()]

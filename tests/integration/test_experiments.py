@@ -39,7 +39,7 @@ def data(tmp_path_factory):
 
 
 @pytest.mark.parametrize("verb", VERBS)
-@pytest.mark.parametrize("experiment", ["quickstart", "small_scale", "large_scale"])
+@pytest.mark.parametrize("experiment", ["quickstart", "small_scale", "large_scale", "rfpp_tiny", "rfpp_real"])
 def test_composes_for_every_verb_and_resolves(experiment, verb, composed):
     cfg = composed(verb, f"+experiment={experiment}", "run_dir=unused", *(["checkpoint=x"] * (verb == "evaluate")))
     resolved = OmegaConf.to_container(cfg, resolve=True, throw_on_missing=True)
