@@ -126,7 +126,7 @@ class Slot:
 def _serve(connection: Connection) -> None:
     """A worker's life: take (job, item), answer with the result, until the other end closes."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group; only the parent decides
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # unwinds, so that temporary files are removed
+    signal.signal(signal.SIGTERM, _leave)
     while True:
         try:
             message = connection.recv_bytes()
@@ -141,6 +141,17 @@ def _serve(connection: Connection) -> None:
             connection.send_bytes(answer)
         except OSError:
             return
+
+
+def _leave(*_: object) -> None:
+    """Unwind, so that temporary files are removed, and say nothing more.
+
+    Blender, torn down in the middle of a picture, complains of every block of memory.
+    """
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    for stream in (1, 2):
+        os.dup2(nowhere, stream)
+    sys.exit(1)
 
 
 def _pickled_error(error: Exception) -> bytes:

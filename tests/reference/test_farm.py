@@ -1,9 +1,11 @@
 """The farm: order, pinning, recycling, retries, dead workers, early exit."""
 
+import atexit
 import os
 import signal
 import time
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import pytest
 
@@ -66,6 +68,17 @@ def hoard(_: int) -> int:
 
 def always_die(_: int) -> None:
     os.kill(os.getpid(), signal.SIGKILL)
+
+
+def talk_at_the_end(folder: str) -> str:
+    """The second item waits in a temporary folder, with last words as Blender has them."""
+    if folder == "first":
+        return folder
+    atexit.register(lambda: os.write(2, b"last words"))
+    with TemporaryDirectory(dir=folder):
+        (Path(folder) / "waiting").touch()
+        time.sleep(600)
+    return "never"
 
 
 def bad_scene(path: str) -> None:
@@ -156,6 +169,17 @@ def test_an_item_that_always_hangs_is_an_error_and_the_others_go_on():
         assert isinstance(result, WorkerHangError)
         assert "after 4 s" in str(result)
         assert [r for _, r in farm.map(slow_square, [1, 2])] == [1, 4]
+
+
+def test_a_busy_worker_that_is_stopped_says_nothing_and_leaves_no_files(tmp_path, capfd):
+    with RenderFarm(2) as farm:
+        results = farm.map(talk_at_the_end, ["first", str(tmp_path)])
+        assert next(results)[1] == "first"
+        while not (tmp_path / "waiting").exists():
+            time.sleep(0.05)
+        results.close()
+    assert [path.name for path in tmp_path.iterdir()] == ["waiting"]
+    assert capfd.readouterr().err == ""
 
 
 def test_a_worker_that_grows_is_replaced():
