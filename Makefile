@@ -9,7 +9,8 @@ VENV ?= .venv
 RUN := $(VENV)/bin/python
 PYTEST := $(RUN) -m pytest -n 2 --dist loadgroup --durations=50 --durations-min=3
 EXPERIMENT := +experiment=quickstart
-LATEST := data/runs/quickstart/latest
+# One folder, so that the same command goes on after an interruption.
+TRAINED := data/runs/quickstart/by_make
 
 .PHONY: help quickstart test test-all fuzz docs check install
 .DEFAULT_GOAL := help
@@ -25,17 +26,17 @@ $(VENV)/.installed: pyproject.toml requirements.lock launch/install.sh
 
 quickstart: install
 	$(RUN) launch/generate.py $(EXPERIMENT)
-	$(RUN) launch/train.py $(EXPERIMENT)
-	$(RUN) launch/render.py scene=data/scenes/cornell_box.json checkpoint=$(LATEST)/checkpoints/best.ckpt \
+	$(RUN) launch/train.py $(EXPERIMENT) run_dir=$(TRAINED)
+	$(RUN) launch/render.py scene=data/scenes/cornell_box.json checkpoint=$(TRAINED)/checkpoints/best.ckpt \
 		against=rfpp-tiny output=data/renders reference=true
-	$(RUN) launch/evaluate.py $(EXPERIMENT) checkpoint=$(LATEST)/checkpoints/best.ckpt
+	$(RUN) launch/evaluate.py $(EXPERIMENT) checkpoint=$(TRAINED)/checkpoints/best.ckpt
 	@echo
-	@echo "Pictures        data/renders/cornell_box_0_comparison.png, $(LATEST)/evaluation/*.png"
-	@echo "Metrics         $(LATEST)/evaluation/summary.csv"
-	@echo "Report          $(LATEST)/evaluation/report.html"
+	@echo "Pictures        data/renders/cornell_box_0_comparison.png, $(TRAINED)/evaluation/*.png"
+	@echo "Metrics         $(TRAINED)/evaluation/summary.csv"
+	@echo "Report          $(TRAINED)/evaluation/report.html"
 	@echo "Training run    $(RUN) -m mlflow ui --backend-store-uri sqlite:///data/runs/mlflow.db"
 	@echo "                and open http://127.0.0.1:5000/#/experiments/1?workflowType=machine_learning"
-	@echo "Render more     $(RUN) launch/render.py scene=data/scenes/roughness_spheres.json checkpoint=$(LATEST)/checkpoints/best.ckpt"
+	@echo "Render more     $(RUN) launch/render.py scene=data/scenes/roughness_spheres.json checkpoint=$(TRAINED)/checkpoints/best.ckpt"
 
 test: install
 	$(PYTEST) -m "not slow"
