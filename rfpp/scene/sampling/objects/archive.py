@@ -14,6 +14,8 @@ from rfpp.scene.io.limits import MAX_ENTRIES
 
 _CATALOGUE = "PluginFurnitureCatalog.properties"
 _MAX_CATALOGUE_BYTES = 2**24
+#: What zipfile raises of damaged, encrypted and unusually compressed archives.
+_UNREADABLE = (zipfile.BadZipFile, NotImplementedError, RuntimeError, ValueError, EOFError)
 
 
 @dataclass(frozen=True)
@@ -60,13 +62,7 @@ def read_member(path: Path, name: str, limit: int) -> bytes:
         raise SceneError(f"{path}: holds no {name}: give a whole archive") from None
     except OSError as error:
         raise SceneError(f"{path}: cannot be read ({error.strerror or error}): correct the path") from None
-    except (
-        zipfile.BadZipFile,
-        NotImplementedError,
-        RuntimeError,
-        ValueError,
-        EOFError,
-    ) as error:  # also encrypted ones
+    except _UNREADABLE as error:
         raise SceneError(f"{path}: {name} cannot be unpacked ({error}): fetch the archive again") from None
     if len(content) > limit:
         raise SceneError(f"{path}: {name} holds more than {limit:,} bytes: take it out of the archive")
