@@ -92,8 +92,10 @@ def with_groups(arguments: Sequence[str]) -> list[str]:
 
 
 def _uncaught(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
-    """A library may be missing before a command begins: while its file imports what it is made of."""
-    if missing := missing_extra(error):
+    """What ends a command from outside, or before it begins: Ctrl-C, and a library that its file cannot import."""
+    if issubclass(kind, KeyboardInterrupt):  # Python then ends by the signal, as shells expect
+        print("interrupted: run the same command again", file=sys.stderr)
+    elif missing := missing_extra(error):
         print(f"error: {missing}", file=sys.stderr)
     else:
         sys.__excepthook__(kind, error, trace)

@@ -1,5 +1,6 @@
 """What all commands share."""
 
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -35,3 +36,10 @@ def test_the_command_line_takes_either():
         for plus in ("", "+")
     ]  # fmt: skip
     assert composed[0] == composed[1] and "name: quickstart" in composed[0]
+
+
+def test_an_interrupted_command_ends_with_one_line_and_by_the_signal():
+    begun = "import os, signal, rfpp.commands; os.kill(os.getpid(), signal.SIGINT)"
+    done = subprocess.run([sys.executable, "-c", begun], capture_output=True, text=True, cwd=ROOT, check=False)
+    assert done.stderr == "interrupted: run the same command again\n"
+    assert done.returncode == -signal.SIGINT
