@@ -42,7 +42,7 @@ class Prepared(Entry):
         sha256: of the original file.
         mesh_sha256: of the prepared mesh's file.
         faces_before, faces: of the original and of the prepared mesh.
-        watertight: every edge touches two faces.
+        watertight: every edge of the original touches two faces.
         parts: pieces of it that get materials of their own.
     """
 

@@ -55,7 +55,7 @@ class PreparedMesh:
     Attributes:
         parts: together normalised, with at most the tier's number of faces, facing outwards where it is watertight.
         faces_before: of the file.
-        watertight: every edge touches two faces.
+        watertight: every edge of the original touches two faces.
     """
 
     parts: tuple[Mesh, ...]
