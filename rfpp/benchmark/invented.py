@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-from rfpp.gbuffer.direct_light import direct_radiance, with_direct_light
+from rfpp.gbuffer.direct_light import direct_radiance
 from rfpp.gbuffer.first_hit import camera_caster, channel, first_hit
+from rfpp.gbuffer.known_light import with_known_light
 from rfpp.gbuffer.light_sampler import LightSampler
 from rfpp.reference.cycles import CyclesSettings
 from rfpp.reference.farm import RenderFarm
@@ -74,7 +75,7 @@ def invented_light(
     images = []
     for pose, angle in zip(c2w, fov, strict=True):
         seen = first_hit(triangles, pose, angle, height, width, caster)
-        lit = with_direct_light(seen, pose, angle, lights, samples=2, seed=int(rng.integers(1 << 31)))
+        lit = with_known_light(seen, pose, angle, lights, 2, int(rng.integers(1 << 31)), reflects=False)
         direct = direct_radiance(lit, triangles.material)
         albedo = channel(lit, triangles.material, angle, "albedo")
         bounce = albedo * gaussian_filter(direct, (height / 16, width / 16, 0))

@@ -10,10 +10,9 @@ from typing import TypeVar
 
 import numpy as np
 
-from rfpp.gbuffer.direct_light import with_direct_light
 from rfpp.gbuffer.first_hit import GBuffer, camera_caster, channel, first_hit
+from rfpp.gbuffer.known_light import with_known_light
 from rfpp.gbuffer.light_sampler import LightSampler
-from rfpp.gbuffer.reflection import with_reflection
 from rfpp.scene.packed import PackedScene, pack
 from rfpp.scene.sampling.family import SceneFamily, TriangleBudget
 
@@ -103,8 +102,7 @@ def _made(scene: PackedScene, resolution: int, samples: int, seed: int) -> tuple
 
     caster, lights = timed("structures", lambda: (camera_caster(triangles), LightSampler(triangles)))
     seen = timed("first_hit", lambda: first_hit(triangles, c2w, fov, resolution, resolution, caster))
-    lit = timed("direct", lambda: with_direct_light(seen, c2w, fov, lights, samples, seed))
-    return timed("reflection", lambda: with_reflection(lit, c2w, fov, lights, samples, seed)), took
+    return timed("light", lambda: with_known_light(seen, c2w, fov, lights, samples, seed)), took
 
 
 def _radiance(gbuffer: GBuffer, scene: PackedScene) -> list[np.ndarray]:

@@ -8,10 +8,11 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from rfpp.gbuffer.cell_grid import CellGrid
-from rfpp.gbuffer.cells import NOWHERE, CellMap, Cells
+from rfpp.gbuffer.cell_loops import NOWHERE
+from rfpp.gbuffer.cells import CellMap, Cells
 from rfpp.gbuffer.direct_light import gathered
 from rfpp.gbuffer.light_sampler import LightSampler
-from rfpp.gbuffer.ray_ends import ray_ends
+from rfpp.gbuffer.ray_ends import follow_rays
 from rfpp.gbuffer.surface import Surface, cosine_directions, lattice
 from rfpp.scene.triangles import DIFFUSE, EMISSION, ROUGHNESS, SPECULAR, SceneTriangles
 
@@ -47,9 +48,7 @@ def find_cells(sampler: LightSampler) -> tuple[Cells, CellMap]:
     dull = replace(surface, specular=np.zeros_like(surface.specular))  # only irradiance is wanted
     arriving = gathered(sampler, dull, 1, rng)[0]
     origin, way, cosine = _rays(triangles, seen, of_cell, rng)
-    ends = ray_ends(sampler, everywhere, origin, way, cosine / np.pi)
-    highlights = ends.highlights(sampler, rng).reshape(-1, RAYS, 3).mean(1)
-    onward = ends.onward(sampler, everywhere, rng)
+    ends = follow_rays(sampler, everywhere, origin, way, cosine / np.pi, rng)
     count = np.bincount(of_cell)
 
     def mean(values: np.ndarray) -> np.ndarray:
@@ -67,9 +66,9 @@ def find_cells(sampler: LightSampler) -> tuple[Cells, CellMap]:
         roughness=mean(material[:, ROUGHNESS])[:, 0],
         emitted=mean(material[:, EMISSION]),
         arriving=mean(arriving),
-        highlights=highlights.astype(np.float32),
+        highlights=ends.highlights.reshape(-1, RAYS, 3).mean(1).astype(np.float32),
         hits=ends.cell.reshape(-1, RAYS).astype(np.int32),
-        onward=onward.reshape(-1, RAYS).astype(np.int32),
+        onward=ends.onward.reshape(-1, RAYS).astype(np.int32),
     )
     return cells, everywhere
 
@@ -144,11 +143,13 @@ def _where_light_goes(
     """The cells in which RAYS rays from each cell end, and the ends, of those that end in one."""
     origin, way, _ = _rays(sampler.triangles, points, cell, rng)
     hits = sampler.caster.cast(origin, way)
-    found = cells.of_hits(origin, way, hits)
-    met = found != NOWHERE
+    met = np.flatnonzero(hits.triangle >= 0)
     triangle, position = hits.triangle[met], origin[met] + hits.distance[met, None] * way[met]
     front = _Points(triangle, position, np.zeros(len(triangle), bool)).normal(sampler.triangles)
-    return found.reshape(-1, RAYS), _Points(triangle, position, (front * way[met]).sum(-1) > 0)
+    ends = _Points(triangle, position, (front * way[met]).sum(-1) > 0)
+    found = np.full(len(origin), NOWHERE)
+    found[met] = cells.at(ends.triangle, ends.position, ends.back)
+    return found.reshape(-1, RAYS), ends.part(found[met] != NOWHERE)
 
 
 def _seen_points(

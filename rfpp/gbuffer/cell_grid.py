@@ -9,17 +9,14 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Float, Int
 
+from rfpp.gbuffer.cell_loops import KEYS_OF_OCTANT, MOST_PIECES, SIDES, CellTable, keys_each
+from rfpp.gbuffer.threads import over_rows
 from rfpp.scene.triangles import SceneTriangles
 
-#: Half an object is cut into so many pieces along an axis that they are about this long, in world units; 4 at most.
+#: Half an object is cut into so many pieces along an axis that they are about this long, in world units.
 CELL_EDGE = 0.2
-_MOST_PIECES = 4
 #: Moments that differ by less than this share are of a symmetric object, whose axes they do not tell.
 _SYMMETRIC = 1e-3
-#: An object that reaches less far along an axis than this share of its greatest reach is flat.
-_FLAT = 1e-4
-#: Directions of a triangle in its object's axes: forwards or backwards along one of three; and its two sides.
-_DIRECTIONS, _SIDES = 6, 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +49,7 @@ class CellGrid:
         centroid, axes = np.stack([c for c, _ in placed]), np.stack([a for _, a in placed])
         reach = [np.abs((part.reshape(-1, 3) - c) @ a.T).max(0) for part, (c, a) in zip(parts, placed, strict=True)]
         half = np.stack(reach)
-        pieces = np.clip(np.rint(half / CELL_EDGE), 1, _MOST_PIECES).astype(np.int64)
+        pieces = np.clip(np.rint(half / CELL_EDGE), 1, MOST_PIECES).astype(np.int64)
         return cls(triangles, centroid, axes, half, pieces)
 
     @cached_property
@@ -68,28 +65,35 @@ class CellGrid:
         self, triangle: Int[np.ndarray, " r"], point: Float[np.ndarray, "r 3"], back: np.ndarray
     ) -> Int[np.ndarray, " r"]:
         """A number for the cell of each point on the front or the back of a triangle; the same for the same cell."""
-        owner = self.triangles.object_index[triangle].astype(np.int64)
-        pieces, most = self.pieces[owner], 2 * _MOST_PIECES
-        local = np.einsum("rij,rj->ri", self.axes[owner], point - self.centroid[owner])
-        half = self.half[owner]
-        flat = half < _FLAT * half.max(-1, keepdims=True)  # rounding alone would say on which side a point lies
-        place = np.where(flat, 0, np.floor(local / np.maximum(half, 1e-9) * pieces)).astype(np.int64) + pieces
-        place = np.clip(place, 0, 2 * pieces - 1)
-        # octant first: it is what a token of HOCT stands for
-        octant = (place >= pieces) @ np.array([1, 2, 4])
-        box = (place[:, 0] * most + place[:, 1]) * most + place[:, 2]
-        key = (owner * 8 + octant) * most**3 + box
-        return (key * _DIRECTIONS + self._direction[triangle]) * _SIDES + back
+        keys, nothing = np.empty(len(triangle), np.int64), np.zeros(0, np.int64)
+        over_rows(len(keys), keys_each, self.table(nothing, nothing), triangle, point, back, keys)
+        return keys
+
+    def table(self, keys: Int[np.ndarray, " k"], cell: Int[np.ndarray, " k"]) -> CellTable:
+        """What loops read, with the cells of these keys, which ascend."""
+        coarse_keys, first = np.unique(self.coarse(keys), return_index=True)
+        return CellTable(
+            owner=self.triangles.object_index.astype(np.int64),
+            direction=self._direction,
+            centroid=self.centroid,
+            axes=self.axes,
+            half=self.half,
+            pieces=self.pieces,
+            keys=keys,
+            cell=cell,
+            coarse_keys=coarse_keys,
+            coarse_cell=cell[first],
+        )
 
     @staticmethod
     def octants(keys: Int[np.ndarray, " c"]) -> Int[np.ndarray, " c"]:
         """8 · object + octant of each cell."""
-        return keys // ((2 * _MOST_PIECES) ** 3 * _DIRECTIONS * _SIDES)
+        return keys // KEYS_OF_OCTANT
 
     @classmethod
     def coarse(cls, keys: Int[np.ndarray, " c"]) -> Int[np.ndarray, " c"]:
         """A number for octant and side alone."""
-        return cls.octants(keys) * _SIDES + keys % _SIDES
+        return cls.octants(keys) * SIDES + keys % SIDES
 
 
 def principal_axes(corners: Float[np.ndarray, "m 3 3"]) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, "3 3"]]:

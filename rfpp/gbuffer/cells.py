@@ -14,10 +14,8 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from rfpp.gbuffer.cell_grid import CellGrid
-from rfpp.gbuffer.raycast import Hits
-
-#: What a ray's end is called that meets no cell.
-NOWHERE = -1
+from rfpp.gbuffer.cell_loops import CellTable, cells_each
+from rfpp.gbuffer.threads import over_rows
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,38 +81,14 @@ class CellMap:
     ) -> Int[np.ndarray, " r"]:
         """The cell of each point on the front or the back of a triangle."""
         keys = self.grid.keys(triangle, point, back)
-        row = np.searchsorted(self.keys, keys).clip(max=len(self.keys) - 1)
-        # cells so small that none of our points lay there: any of their octant and side
-        other = np.searchsorted(self._coarse_keys, self.grid.coarse(keys)).clip(max=len(self._coarse_keys) - 1)
-        known = self._coarse_keys[other] == self.grid.coarse(keys)
-        return np.where(
-            self.keys[row] == keys, self.cell[row], np.where(known, self.cell[self._coarse[other]], NOWHERE)
-        )
-
-    @cached_property
-    def _coarse(self) -> Int[np.ndarray, " k"]:
-        """Of the keys of each octant's side, the first."""
-        return np.unique(self.grid.coarse(self.keys), return_index=True)[1]
-
-    @cached_property
-    def _coarse_keys(self) -> Int[np.ndarray, " k"]:
-        return self.grid.coarse(self.keys[self._coarse])
-
-    def of_hits(
-        self, origin: Float[np.ndarray, "r 3"], way: Float[np.ndarray, "r 3"], hits: Hits
-    ) -> Int[np.ndarray, " r"]:
-        """The cell that each ray ends in."""
-        cell = np.full(len(origin), NOWHERE)
-        met = np.flatnonzero(hits.triangle >= 0)
-        if len(met):
-            triangle, way = hits.triangle[met], way[met]
-            back = (self._normals(triangle) * way).sum(-1) > 0
-            cell[met] = self.at(triangle, origin[met] + hits.distance[met, None] * way, back)
+        cell = np.empty_like(keys)
+        over_rows(len(keys), cells_each, self.table, keys, cell)
         return cell
 
-    def _normals(self, triangle: Int[np.ndarray, " r"]) -> Float[np.ndarray, "r 3"]:
-        a, b, c = np.moveaxis(self.grid.triangles.positions[triangle].astype(np.float64), 1, 0)
-        return np.cross(b - a, c - a)
+    @cached_property
+    def table(self) -> CellTable:
+        """What loops read."""
+        return self.grid.table(self.keys, self.cell)
 
 
 def parts(cells: Cells) -> dict[str, np.ndarray]:

@@ -107,8 +107,8 @@ class GBuffer:
         normal: [H, W, 3] float32 unit shading normal in camera space, on the camera's side of the surface;
             zeros where nothing is hit.
         depth: [H, W] float32 distance along the camera's -Z axis (not along the ray); 0 where nothing is hit.
-        light: what reaches the hits straight from the lights, if it was asked for (`rfpp.gbuffer.direct_light`).
-        reflection: what shiny surfaces show, if it was asked for (`rfpp.gbuffer.reflection`).
+        light: what reaches the hits straight from the lights, if it was asked for (`rfpp.gbuffer.known_light`).
+        reflection: what shiny surfaces show, if it was asked for (`rfpp.gbuffer.known_light`).
         cells: the cells that pixels see, if they were asked for (`rfpp.gbuffer.gathering`).
     """
 
@@ -200,11 +200,11 @@ def channel(
         return camera_positions(gbuffer.depth, fov)
     if name in DIRECT_CHANNELS:
         if gbuffer.light is None:
-            raise ValueError(f"'{name}' was asked of a G-buffer without direct light: see with_direct_light")
+            raise ValueError(f"'{name}' was asked of a G-buffer without direct light: see with_known_light")
         return gbuffer.light.diffuse if name == "direct_diffuse" else gbuffer.light.glossy
     if name in REFLECTION_CHANNELS:
         if gbuffer.reflection is None:
-            raise ValueError(f"'{name}' was asked of a G-buffer without reflection: see with_reflection")
+            raise ValueError(f"'{name}' was asked of a G-buffer without reflection: see with_known_light")
         return gbuffer.reflection.light if name == "reflected_light" else gbuffer.reflection.albedo
     if name in (*CELL_CHANNELS, HIGHLIGHTS):
         if gbuffer.cells is None:

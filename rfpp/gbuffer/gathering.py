@@ -6,17 +6,14 @@ from dataclasses import replace
 from typing import SupportsFloat
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
-from rfpp.gbuffer import ggx
-from rfpp.gbuffer.cells import NOWHERE, CellMap
+from rfpp.gbuffer.cell_loops import NOWHERE, cells_seen
+from rfpp.gbuffer.cells import CellMap
 from rfpp.gbuffer.first_hit import CELL_RAYS, GBuffer, SeenCells
 from rfpp.gbuffer.light_sampler import LightSampler
-from rfpp.gbuffer.ray_ends import RayEnds, density_of_lobes, ray_ends, thrown
-from rfpp.gbuffer.surface import Surface, chunks, cosine_directions, lattice, local
-
-#: Pixels along each side of a tile.
-_TILE = 4
+from rfpp.gbuffer.surface import Surface
+from rfpp.gbuffer.threads import over_rows
 
 
 def with_cells(
@@ -38,67 +35,18 @@ def with_cells(
             each of them says where all went.
         seed: of the rays' displacement from pixel to pixel; the same seed gives the same numbers.
     """
-    rng = np.random.default_rng(seed)
     height, width = (side // points for side in gbuffer.depth.shape)
     surface = Surface.seen(gbuffer, sampler.triangles, c2w, fov)
-    number = np.full(gbuffer.depth.shape, -1)
-    number[gbuffer.hit] = np.arange(len(surface))
-    by_pixel = number.reshape(height, points, width, points).swapaxes(1, 2).reshape(height * width, -1)
-    start = by_pixel[:, np.arange(CELL_RAYS) % points**2]
-    random = _directions(height, width, rng)
+    of_image = surface.points(gbuffer.hit, points)
+    point_of = np.full((height * width, of_image.of_pixel), -1)
+    point_of[of_image.pixel, of_image.nth] = np.arange(len(surface))
     seen = np.full((4, height * width, CELL_RAYS), NOWHERE, np.int32)
-    light = np.zeros((height * width, CELL_RAYS, 3), np.float32)
-    for rows in chunks(height * width, CELL_RAYS):
-        hit = start[rows] >= 0
-        rays = surface.part(start[rows][hit])
-        ends = _diffuse(rays, sampler, cells, random[rows][hit])
-        seen[0, rows][hit], seen[2, rows][hit] = ends.cell, ends.onward(sampler, cells, rng)
-        light[rows][hit] = ends.highlights(sampler, rng)
-        # each ray of a pixel is absorbed above a threshold of its own
-        threshold = rng.permuted((np.arange(CELL_RAYS) + rng.random((len(hit), 1))) / CELL_RAYS, axis=1)[hit]
-        seen[1, rows][hit], seen[3, rows][hit] = _glossy(rays, sampler, cells, random[rows][hit], threshold, rng)
+    highlights = np.zeros((height * width, 3), np.float32)
+    key = int(np.random.default_rng(seed).integers(1 << 62))
+    image = (of_image, point_of, width, key, *seen, highlights)
+    over_rows(height * width, cells_seen, sampler.scene, cells.table, *image)
 
     def at_points(of_pixels: np.ndarray) -> np.ndarray:
         return of_pixels.reshape(height, width, -1).repeat(points, axis=0).repeat(points, axis=1)
 
-    return replace(gbuffer, cells=SeenCells(*map(at_points, seen), highlights=at_points(light.mean(1))))
-
-
-def _directions(height: int, width: int, rng: np.random.Generator) -> Float[np.ndarray, "p rays 2"]:
-    """Points of the unit square for the rays of every pixel; those of a tile's pixels together are one lattice.
-
-    What a pixel's few rays miss, its neighbours' find, which share what they gather.
-    """
-    rows, columns = np.divmod(np.arange(height * width), width)
-    tile, tiles = (rows // _TILE) * -(-width // _TILE) + columns // _TILE, -(-height // _TILE) * -(-width // _TILE)
-    points = lattice(CELL_RAYS * _TILE**2, rng.random((tiles, 2)))
-    first = (rows % _TILE) * _TILE + columns % _TILE
-    return points[tile[:, None], first[:, None] + _TILE**2 * np.arange(CELL_RAYS)]
-
-
-def _diffuse(surface: Surface, sampler: LightSampler, cells: CellMap, random: Float[np.ndarray, "r 2"]) -> RayEnds:
-    way = cosine_directions(surface, random)
-    frame = surface.frame()
-    by_lobe = ggx.pdf(local(surface.view, frame), local(way, frame), surface.alpha)
-    density = density_of_lobes(surface, (surface.normal * way).sum(-1), by_lobe)
-    return ray_ends(sampler, cells, surface.point, way, density)
-
-
-def _glossy(
-    surface: Surface,
-    sampler: LightSampler,
-    cells: CellMap,
-    random: Float[np.ndarray, "r 2"],
-    threshold: Float[np.ndarray, " r"],
-    rng: np.random.Generator,
-) -> Int[np.ndarray, "2 r"]:
-    """Where rays end, and where they are thrown on from there. A ray that the lobe absorbs sees nothing."""
-    way, sent = thrown(surface, random, threshold)
-    surface, way = surface.part(sent), way[sent]
-    frame = surface.frame()
-    incoming = local(way, frame)
-    by_lobe = ggx.pdf(local(surface.view, frame), incoming, surface.alpha)
-    ends = ray_ends(sampler, cells, surface.point, way, density_of_lobes(surface, incoming[:, 2], by_lobe))
-    found = np.full((2, len(threshold)), NOWHERE)
-    found[:, sent] = ends.cell, ends.onward(sampler, cells, rng)
-    return found
+    return replace(gbuffer, cells=SeenCells(*map(at_points, seen), highlights=at_points(highlights)))

@@ -54,7 +54,7 @@ def multiple_scattering(
     Microfacet Models", 2019, with the colour of Kulla and Conty 2017).
     """
     factor = np.empty((len(alpha), 3))
-    _scattering_each(_flat(cosine), _flat(alpha), _rows(specular), *_lobe_albedo(), factor)
+    _scattering_each(_flat(cosine), _flat(alpha), _rows(specular), *lobe_albedo(), factor)
     return factor
 
 
@@ -105,18 +105,24 @@ def _sample_each(view, alpha, random, way):
 
 
 @compiled
-def _scattering_each(cosine, alpha, specular, albedo, mean, factor):
+def scattered(albedo, mean, cosine, alpha, specular):
+    """See `multiple_scattering`: of one surface and colour, by the tables of `lobe_albedo`."""
     last = len(mean) - 1
+    u, v = np.sqrt(alpha) * last, min(max(cosine, 0.0), 1.0) * last
+    i, j = max(min(int(u), last - 1), 0), max(min(int(v), last - 1), 0)  # NaN as an index is any number
+    u, v = u - i, v - j
+    near = albedo[i, j] * (1 - v) + albedo[i, j + 1] * v
+    far = albedo[i + 1, j] * (1 - v) + albedo[i + 1, j + 1] * v
+    e, e_avg = near * (1 - u) + far * u, mean[i] * (1 - u) + mean[i + 1] * u
+    bounced = specular * e_avg / (1 - specular * (1 - e_avg))
+    return 1 + bounced * (1 - e) / e
+
+
+@compiled
+def _scattering_each(cosine, alpha, specular, albedo, mean, factor):
     for row in range(len(alpha)):
-        u, v = np.sqrt(alpha[row]) * last, min(max(cosine[row], 0.0), 1.0) * last
-        i, j = max(min(int(u), last - 1), 0), max(min(int(v), last - 1), 0)  # NaN as an index is any number
-        u, v = u - i, v - j
-        near = albedo[i, j] * (1 - v) + albedo[i, j + 1] * v
-        far = albedo[i + 1, j] * (1 - v) + albedo[i + 1, j + 1] * v
-        e, e_avg = near * (1 - u) + far * u, mean[i] * (1 - u) + mean[i + 1] * u
         for c in range(3):
-            bounced = specular[row, c] * e_avg / (1 - specular[row, c] * (1 - e_avg))
-            factor[row, c] = 1 + bounced * (1 - e) / e
+            factor[row, c] = scattered(albedo, mean, cosine[row], alpha[row], specular[row, c])
 
 
 def _of_pairs(view: Vectors, light: Vectors, alpha: Scalars) -> Float[np.ndarray, 2 * batch]:
@@ -134,7 +140,7 @@ def _flat(numbers: np.ndarray) -> Float[np.ndarray, " n"]:
 
 
 @cache
-def _lobe_albedo() -> tuple[Float[np.ndarray, "table table"], Float[np.ndarray, " table"]]:
+def lobe_albedo() -> tuple[Float[np.ndarray, "table table"], Float[np.ndarray, " table"]]:
     """The share of light the single-scattering lobe reflects, over (roughness, cosine), and its mean over cosines."""
     roughness = np.linspace(0, 1, _TABLE)
     cosine = np.linspace(0, 1, _TABLE).clip(1e-4)

@@ -5,10 +5,11 @@ from __future__ import annotations
 from copy import copy
 
 import numpy as np
-from jaxtyping import Bool, Int
+from jaxtyping import Int
 
 from rfpp.errors import UserError
-from rfpp.gbuffer.light_loops import Light
+from rfpp.gbuffer.ggx import lobe_albedo
+from rfpp.gbuffer.lit_scene import LitScene
 from rfpp.gbuffer.raycast import RayCaster
 from rfpp.scene.triangles import EMISSION, SceneTriangles
 
@@ -27,10 +28,8 @@ class LightSampler:
 
     Attributes:
         caster: see above.
-        lights: how many there are.
-        names: of the objects that they are.
-        shining: the lights whose light is gathered; the others are black, and otherwise what they are.
-        each, whole: every light, and all of them as one.
+        names: of the objects that are lights.
+        scene: what loops read. Of its lights those that do not shine are black, and otherwise what they are.
     """
 
     def __init__(self, triangles: SceneTriangles, caster: RayCaster | None = None):
@@ -41,35 +40,38 @@ class LightSampler:
         radiance = triangles.material[emitters][:, EMISSION].astype(np.float64)
         cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         size = np.linalg.norm(cross, axis=-1)
-        normals, area = cross / size[:, None], size / 2
-        names, light = np.unique(triangles.object_index[emitters], return_inverse=True)
-        self.lights, self.names = len(names), triangles.light_names
-        self.shining, self._light = tuple(range(self.lights)), light
+        area = size / 2
+        _, light = np.unique(triangles.object_index[emitters], return_inverse=True)
+        self.names, count = triangles.light_names, np.bincount(light)
         power = area * radiance.mean(-1)
-        share = power / np.bincount(light, power, self.lights)[light]
-
-        def of(rows: np.ndarray) -> Light:
-            steps = np.cumsum(share[rows])
-            formula = len(rows) <= _FORMULA_UP_TO
-            return Light(corners[rows], normals[rows], radiance[rows], steps, share[rows] / area[rows], formula)
-
-        self.each = tuple(of(np.flatnonzero(light == number)) for number in range(self.lights))
-        self.whole = of(np.arange(len(emitters)))
-        self._emitter_of = np.full(len(triangles) + 1, -1)  # the last answers for rays that hit nothing
-        self._emitter_of[emitters] = np.arange(len(emitters))
+        share = power / np.bincount(light, power)[light] if len(light) else power
+        emitter = np.full(len(triangles), -1)
+        emitter[emitters] = np.arange(len(emitters))
+        self.scene = LitScene(
+            address=self.caster.address,
+            positions=np.ascontiguousarray(triangles.positions, np.float32),
+            normals=np.ascontiguousarray(triangles.normals, np.float32),
+            material=np.ascontiguousarray(triangles.material, np.float32),
+            emitter=emitter,
+            corners=corners,
+            facing=cross / size[:, None],
+            radiance=radiance,
+            steps=np.concatenate([np.zeros(0), *(np.cumsum(share[light == number]) for number in range(len(count)))]),
+            density=share / area,
+            first=np.concatenate([[0], np.cumsum(count)]),
+            shining=np.ones(len(count), np.bool_),
+            exact=count <= _FORMULA_UP_TO,
+            **dict(zip(("albedo", "mean_albedo"), lobe_albedo(), strict=True)),
+        )
 
     def only(self, name: str) -> LightSampler:
         """The same, of which one light shines. Raises UserError if there is none of this name."""
         if name not in self.names:
             raise UserError(f"light '{name}' does not exist: choose from {', '.join(self.names)}")
-        other = copy(self)
-        other.shining = (self.names.index(name),)
+        other, shining = copy(self), np.arange(len(self.names)) == self.names.index(name)
+        other.scene = self.scene._replace(shining=shining)
         return other
 
-    def shines(self, emitter: Int[np.ndarray, "*batch"]) -> Bool[np.ndarray, "*batch"]:
-        """Whether the row in `whole` belongs to a light that shines; not for -1."""
-        return (emitter >= 0) & np.isin(self._light[emitter], self.shining)
-
     def emitter_of(self, triangle: Int[np.ndarray, "*batch"]) -> Int[np.ndarray, "*batch"]:
-        """The row in `whole` of the triangles that emit; -1 for others, and for -1."""
-        return self._emitter_of[triangle]
+        """The emitter that a triangle is; -1 for others, and for -1."""
+        return np.append(self.scene.emitter, -1)[triangle]

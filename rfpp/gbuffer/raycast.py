@@ -1,4 +1,4 @@
-"""Triangles and rays to hits. The only file that knows the ray-tracing library (Embree)."""
+"""Triangles and rays to hits. Only this and `embree` know the ray-tracing library."""
 
 from __future__ import annotations
 
@@ -7,7 +7,9 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from rfpp.errors import MissingDependencyError
+from rfpp.gbuffer.compiled import compiled
+from rfpp.gbuffer.embree import Structure, blocked, closest, embree, new_ray
+from rfpp.gbuffer.threads import over_rows
 
 
 class Hits(NamedTuple):
@@ -32,30 +34,27 @@ class RayCaster:
 
     Raises:
         MissingDependencyError: Embree is not installed.
+
+    Attributes:
+        address: of the structure, for compiled loops (`rfpp.gbuffer.embree`); 0 for no triangles.
     """
 
     def __init__(self, positions: Float[np.ndarray, "m 3 3"]) -> None:
-        embree_scene, embree_mesh = _embree()
-        # Embree reads these vertices in place, so they live as long as the caster.
-        self._positions = np.array(positions, dtype=np.float32, order="C")
-        self._scene = embree_scene()
-        self._mesh = embree_mesh(self._scene, self._positions) if len(self) else None
-        self.cast(np.zeros((1, 3)), np.ones((1, 3)))  # the first ray builds the structure; threads may send the next
+        embree()  # compiled loops name its functions
+        self._count = len(positions)
+        self._structure = Structure(positions) if self._count else None
+        self.address = self._structure.address if self._structure else 0
 
     def __len__(self) -> int:
         """The number of triangles."""
-        return len(self._positions)
+        return self._count
 
     def cast(self, origins: Float[np.ndarray, "r 3"], directions: Float[np.ndarray, "r 3"]) -> Hits:
         """The nearest triangle in front of each ray; both sides of a triangle count."""
         count = len(origins)
-        if self._mesh is None or count == 0:
-            return Hits(np.full(count, -1, np.int32), np.zeros((count, 3), np.float32), np.full(count, np.inf, "f4"))
-        found = self._scene.run(_packed(origins), _packed(directions), output=True)
-        triangle, u, v = found["primID"].astype(np.int32), found["u"], found["v"]
-        hit = triangle >= 0
-        barycentric = np.stack([1 - u - v, u, v], axis=-1) * hit[:, None]
-        return Hits(triangle, barycentric.astype(np.float32), np.where(hit, found["tfar"], np.inf).astype(np.float32))
+        hits = Hits(np.empty(count, np.int32), np.empty((count, 3), np.float32), np.empty(count, np.float32))
+        over_rows(count, _cast, self.address, _packed(origins), _packed(directions), *hits)
+        return hits
 
     def occluded(
         self,
@@ -64,21 +63,27 @@ class RayCaster:
         max_distance: Float[np.ndarray, " r"],
     ) -> Bool[np.ndarray, " r"]:
         """Whether anything lies on each ray nearer than `max_distance` (in lengths of its direction)."""
-        if self._mesh is None or len(origins) == 0:
-            return np.zeros(len(origins), bool)
+        found = np.empty(len(origins), np.bool_)
         reach = np.ascontiguousarray(max_distance, dtype=np.float32)
-        return self._scene.run(_packed(origins), _packed(directions), dists=reach, query="OCCLUDED") >= 0
+        over_rows(len(origins), _occluded, self.address, _packed(origins), _packed(directions), reach, found)
+        return found
 
 
 def _packed(vectors: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(vectors, dtype=np.float32)
 
 
-def _embree():
-    """Embree's scene and mesh classes, imported late so that what needs no rays runs without them."""
-    try:
-        from embreex.mesh_construction import TriangleMesh
-        from embreex.rtcore_scene import EmbreeScene
-    except ImportError as error:
-        raise MissingDependencyError(f"G-buffers need Embree ({error}): pip install embreex") from error
-    return EmbreeScene, TriangleMesh
+@compiled
+def _cast(first, last, address, origins, ways, triangle, barycentric, distance):
+    ray = new_ray()
+    for row in range(first, last):
+        hit, u, v, reach = closest(address, ray, origins[row], ways[row])
+        triangle[row], distance[row] = hit, reach
+        barycentric[row, 0], barycentric[row, 1], barycentric[row, 2] = (1 - u - v if hit >= 0 else 0.0), u, v
+
+
+@compiled
+def _occluded(first, last, address, origins, ways, reach, found):
+    ray = new_ray()
+    for row in range(first, last):
+        found[row] = blocked(address, ray, origins[row], ways[row], reach[row])

@@ -2,23 +2,41 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, fields
-from typing import SupportsFloat
+from typing import NamedTuple, SupportsFloat
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from rfpp.gbuffer import ggx
 from rfpp.gbuffer.compiled import compiled
 from rfpp.gbuffer.first_hit import GBuffer, camera_positions
+from rfpp.gbuffer.lit_scene import CLEARANCE
 from rfpp.gbuffer.vectors import GOLDEN, normal_of, tangents
 from rfpp.scene.triangles import DIFFUSE, ROUGHNESS, SPECULAR, SceneTriangles
 
-#: Rays start and end this far from surfaces, in world units (a scene's edge is 1).
-CLEARANCE = 1e-4
-#: Pairs of a point and a sample worked on at a time, which bounds the memory.
-_CHUNK = 1 << 18
+
+class Points(NamedTuple):
+    """What loops read of R points that lie in pixels.
+
+    Attributes:
+        point, normal, diffuse, specular: as `Surface` has them.
+        eye: direction that each is seen from.
+        alpha: negative where the glossy lobe sends nothing to the eye.
+        pixel: [R] that each lies in.
+        nth: [R] which of the pixel's points it is.
+        of_pixel: how many points a pixel has.
+    """
+
+    point: Float[np.ndarray, "r 3"]
+    normal: Float[np.ndarray, "r 3"]
+    eye: Float[np.ndarray, "r 3"]
+    diffuse: Float[np.ndarray, "r 3"]
+    specular: Float[np.ndarray, "r 3"]
+    alpha: Float[np.ndarray, " r"]
+    pixel: Int[np.ndarray, " r"]
+    nth: Int[np.ndarray, " r"]
+    of_pixel: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,6 +100,16 @@ class Surface:
         """Some of the points."""
         return Surface(**{field.name: getattr(self, field.name)[rows] for field in fields(self)})
 
+    def points(self, hit: Bool[np.ndarray, "h w"], along: int = 1) -> Points:
+        """These points, one for each pixel of an image that hits something or, with so many points along each side of a
+        pixel, for each point."""
+        rows, columns = np.nonzero(hit)
+        pixel = rows // along * (hit.shape[1] // along) + columns // along
+        nth = rows % along * along + columns % along
+        shines = (self.specular > 0).any(-1) & ((self.view * self.normal).sum(-1) > 0)
+        alpha = np.where(shines, self.alpha, -1.0)
+        return Points(self.point, self.normal, self.view, self.diffuse, self.specular, alpha, pixel, nth, along**2)
+
     def frame(self) -> Float[np.ndarray, "r 3 3"]:
         """Rows: two tangents and the normal."""
         frames = np.empty((len(self), 3, 3))
@@ -119,11 +147,6 @@ def _in_front(positions, triangle, position, normal, eye, point, view):
         point[row, 2] = here[2] + clearance * z
 
 
-def local(vectors: Float[np.ndarray, "r *s 3"], frame: Float[np.ndarray, "r 3 3"]) -> Float[np.ndarray, "r *s 3"]:
-    """World vectors in the frame of each point."""
-    return np.einsum("r...x,rkx->r...k", vectors, frame)
-
-
 def cosine_directions(surface: Surface, random: Float[np.ndarray, "r 2"]) -> Float[np.ndarray, "r 3"]:
     """World directions as dense as diffuse light arrives from them: points of a disc, lifted (Malley 1988)."""
     radius, angle = np.sqrt(random[:, 0]), 2 * np.pi * random[:, 1]
@@ -136,9 +159,3 @@ def lattice(samples: int, shift: Float[np.ndarray, "r 2"]) -> Float[np.ndarray, 
     count = np.arange(samples)
     spread = np.stack([(count + 0.5) / samples, count * GOLDEN % 1], axis=-1)
     return (spread + shift[:, None]) % 1
-
-
-def chunks(count: int, width: int) -> Iterator[slice]:
-    """Rows to work on together, where each has `width` numbers."""
-    step = max(1, _CHUNK // width)
-    return (slice(start, start + step) for start in range(0, count, step))

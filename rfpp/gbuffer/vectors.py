@@ -11,6 +11,41 @@ GOLDEN = 0.6180339887498949
 
 
 @compiled
+def dot(a, b):
+    """Their scalar product."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@compiled
+def added(a, b):
+    """Their sum."""
+    return a[0] + b[0], a[1] + b[1], a[2] + b[2]
+
+
+@compiled
+def scaled(a, factor):
+    """A multiple."""
+    return a[0] * factor, a[1] * factor, a[2] * factor
+
+
+@compiled
+def triple(row):
+    """Three numbers of an array, as a vector in registers."""
+    return np.float64(row[0]), np.float64(row[1]), np.float64(row[2])
+
+
+@compiled
+def in_world(vector, first, second, normal):
+    """The vector with these parts along two tangents and a normal."""
+    x, y, z = vector
+    return (
+        x * first[0] + y * second[0] + z * normal[0],
+        x * first[1] + y * second[1] + z * normal[1],
+        x * first[2] + y * second[2] + z * normal[2],
+    )
+
+
+@compiled
 def unit(x, y, z):
     """The vector's direction."""
     length = max(np.sqrt(x * x + y * y + z * z), 1e-20)

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
 from functools import partial
 from hashlib import blake2b
 from typing import Any
@@ -14,7 +12,6 @@ from jaxtyping import Float
 
 from rfpp.gbuffer.cell_finding import find_cells
 from rfpp.gbuffer.cells import CellMap, Cells
-from rfpp.gbuffer.direct_light import with_direct_light
 from rfpp.gbuffer.first_hit import (
     CELL_CHANNELS,
     DIRECT_CHANNELS,
@@ -26,10 +23,10 @@ from rfpp.gbuffer.first_hit import (
     stack_channels,
 )
 from rfpp.gbuffer.gathering import with_cells
+from rfpp.gbuffer.known_light import with_known_light
 from rfpp.gbuffer.light_sampler import LightSampler
 from rfpp.gbuffer.object_light import object_light
 from rfpp.gbuffer.raycast import RayCaster
-from rfpp.gbuffer.reflection import with_reflection
 from rfpp.inference.bounded_cache import BoundedCache
 from rfpp.scene.packed import PackedScene
 from rfpp.scene.triangles import SceneTriangles
@@ -75,7 +72,7 @@ class GBufferSource:
 
         Args:
             height, width: in pixels.
-            light_samples: see `with_direct_light` and `with_reflection`.
+            light_samples: see `with_known_light`.
             points: along each side of a pixel; the channels have so many times the height and the width.
             light: only the light of this object; None: all.
         """
@@ -88,19 +85,12 @@ class GBufferSource:
         def channels(view: int) -> Float[np.ndarray, "c h w"]:
             c2w, fov = scene.c2w[view], scene.fov[view]
             gbuffer = self._first_hit(triangles, geometry, c2w, fov, height, width)
-            seen, lights = (gbuffer, c2w, fov), partial(self._lights, triangles, geometry, light)
-            gathering: dict[str, Callable[[], GBuffer]] = {}  # what of a G-buffer → how it gets it
-            if self._wants(DIRECT_CHANNELS):
-                gathering["light"] = partial(with_direct_light, *seen, lights(), light_samples)
-            if self._wants(REFLECTION_CHANNELS):
-                gathering["reflection"] = partial(with_reflection, *seen, lights(), light_samples)
+            seen, lights = (c2w, fov), partial(self._lights, triangles, geometry, light)
+            if self._wants(DIRECT_CHANNELS) or self._wants(REFLECTION_CHANNELS):
+                reflects = self._wants(REFLECTION_CHANNELS)
+                gbuffer = with_known_light(gbuffer, *seen, lights(), light_samples, points=points, reflects=reflects)
             if self._wants((*CELL_CHANNELS, HIGHLIGHTS)):
-                _, cells = self._cells(triangles, geometry, light)
-                gathering["cells"] = partial(with_cells, *seen, lights(), cells, points)
-            if gathering:
-                with ThreadPoolExecutor(len(gathering), "light") as beside:  # loops that hold no lock
-                    parts = {name: beside.submit(gather) for name, gather in gathering.items()}
-                gbuffer = replace(gbuffer, **{name: getattr(part.result(), name) for name, part in parts.items()})
+                gbuffer = with_cells(gbuffer, *seen, lights(), self._cells(triangles, geometry, light)[1], points)
             return stack_channels(gbuffer, triangles.material, fov, self.channels)
 
         return channels

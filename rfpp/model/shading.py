@@ -58,7 +58,7 @@ class LightBeyondDirect(ReflectedLight):
     """As ReflectedLight, but the direct light is known, and the head's maps say what is to be added to it.
 
     Not in the paper. T L_e, the first bounce of the rendering equation's series, is computed with its shadows
-    (`rfpp.gbuffer.direct_light`) and arrives as log10(1 + light) in the G-buffer. Six maps are log10(1 + light) of
+    (`rfpp.gbuffer.known_light`) and arrives as log10(1 + light) in the G-buffer. Six maps are log10(1 + light) of
     every further bounce, which is smooth where the first has a shadow's edge. The other six let the known light be
     corrected, by a factor 2 σ(map): it carries the noise of its samples, and highlights that pixels are too coarse for.
     Maps of zero give the direct light alone.
@@ -78,7 +78,7 @@ class LightBeyondDirect(ReflectedLight):
 class LightBeyondReflection(LightBeyondDirect):
     """As LightBeyondDirect, to whose glossy light the reflection of directly lit surfaces is added.
 
-    Not in the paper. A mirror shows what first hits know nothing of (`rfpp.gbuffer.reflection`), sharp to the pixel.
+    Not in the paper. A mirror shows what first hits know nothing of (`rfpp.gbuffer.known_light`), sharp to the pixel.
     """
 
     channels: tuple[str, ...] = (*LightBeyondDirect.channels, "reflected_light")

@@ -10,12 +10,11 @@ from jaxtyping import Float
 
 from rfpp.gbuffer.cell_finding import find_cells
 from rfpp.gbuffer.cells import CellMap, Cells
-from rfpp.gbuffer.direct_light import with_direct_light
 from rfpp.gbuffer.first_hit import GBuffer, camera_caster, first_hit
 from rfpp.gbuffer.gathering import with_cells
+from rfpp.gbuffer.known_light import with_known_light
 from rfpp.gbuffer.light_sampler import LightSampler
 from rfpp.gbuffer.object_light import object_light
-from rfpp.gbuffer.reflection import with_reflection
 from rfpp.scene.triangles import SceneTriangles
 
 
@@ -36,8 +35,8 @@ class Stage:
         return first_hit(self.triangles, c2w, fov, resolution, resolution, self._caster)
 
     def lit(self, seen: GBuffer, c2w: Float[np.ndarray, "4 4"], fov: SupportsFloat, samples: int, seed: int) -> GBuffer:
-        """The same with its direct light (`rfpp.gbuffer.direct_light`)."""
-        return with_direct_light(seen, c2w, fov, self._lights, samples, seed)
+        """The same with its direct light (`rfpp.gbuffer.known_light`)."""
+        return with_known_light(seen, c2w, fov, self._lights, samples, seed, reflects=False)
 
     def object_light(self) -> Float[np.ndarray, "o 3"]:
         """Of every object (`rfpp.gbuffer.object_light`)."""
@@ -70,6 +69,5 @@ class Stage:
     def _complete(
         self, c2w: Float[np.ndarray, "4 4"], fov: SupportsFloat, resolution: int, samples: int, seed: int
     ) -> GBuffer:
-        lit = self.lit(self.first_hit(c2w, fov, resolution), c2w, fov, samples, seed)
-        lit = with_reflection(lit, c2w, fov, self._lights, samples, seed)
+        lit = with_known_light(self.first_hit(c2w, fov, resolution), c2w, fov, self._lights, samples, seed)
         return with_cells(lit, c2w, fov, self._lights, self._cells[1], seed=seed)

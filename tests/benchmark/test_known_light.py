@@ -24,4 +24,4 @@ def test_a_row_for_every_value_and_less_error_with_more_samples():
     for light in ("direct_diffuse", "direct_glossy", "reflected_light"):
         assert 0 < many[f"{light}_error"] < few[f"{light}_error"]
         assert all(row[f"{light}_error"] is None for row in others)
-    assert all(row[f"{part}_s"] > 0 for row in rows for part in ("structures", "first_hit", "direct", "reflection"))
+    assert all(row[f"{part}_s"] > 0 for row in rows for part in ("structures", "first_hit", "light"))

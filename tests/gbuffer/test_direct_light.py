@@ -9,9 +9,9 @@ from known_scenes import LIGHT, look_at, material, moved, pack, rigid_motion, sp
 from marks import requires_blender
 from scene_families import draw, family
 
-from rfpp.gbuffer import surface
-from rfpp.gbuffer.direct_light import with_direct_light
+from rfpp.gbuffer import known_light, surface, threads
 from rfpp.gbuffer.first_hit import DirectLight, GBuffer, channel, first_hit, stack_channels
+from rfpp.gbuffer.known_light import with_known_light
 from rfpp.gbuffer.light_sampler import LightSampler
 from rfpp.gbuffer.polygon_light import form_factor
 from rfpp.reference.cycles import CyclesSettings, render_passes
@@ -24,7 +24,7 @@ POSE = look_at((0.3, -1.5, 0.9), (0, 0, 0.1))
 
 
 def lit(scene: SceneTriangles, pose=POSE, samples=8, size=32, fov=40.0, seed=0) -> GBuffer:
-    return with_direct_light(first_hit(scene, pose, fov, size, size), pose, fov, LightSampler(scene), samples, seed)
+    return with_known_light(first_hit(scene, pose, fov, size, size), pose, fov, LightSampler(scene), samples, seed)
 
 
 def light(*args, **kwargs) -> DirectLight:
@@ -103,7 +103,7 @@ def test_more_samples_find_the_same_light(roughness):
     floor = (square(), material(0.2, specular=0.7, roughness=roughness))
     scene = pack(floor, (square(0.5) + np.array([0.2, 0.3, 0.6]), material(1.0, emission=5.0)))
     few = np.stack([light(scene, samples=2, size=8, seed=seed).glossy for seed in range(200)])
-    many = light(scene, samples=2000, size=8).glossy
+    many = np.mean([light(scene, samples=200, size=8, seed=seed).glossy for seed in range(50)], axis=0)
     standard_error = few.std(0) / len(few) ** 0.5
     assert (np.abs(few.mean(0) - many) < 5 * standard_error + 0.005 * many.max()).all()
     assert few.mean() == pytest.approx(many.mean(), rel=0.02)
@@ -114,8 +114,8 @@ def test_an_emissive_mesh_is_one_light_in_every_way():
     glowing = material(1.0, emission=20.0)
     together = pack(floor, (lamp, glowing))
     apart = pack(floor, *((triangle[None], glowing) for triangle in lamp))
-    assert LightSampler(together).lights == 1
-    assert LightSampler(apart).lights == len(lamp)
+    assert len(LightSampler(together).names) == 1
+    assert len(LightSampler(apart).names) == len(lamp)
     one, many = light(together, samples=256, size=8), light(apart, samples=16, size=8)
     np.testing.assert_allclose(one.glossy, many.glossy, rtol=0.1, atol=0.02 * many.glossy.max())
     # the far side of a sphere is hidden by the near one, which shadow rays must find
@@ -142,13 +142,32 @@ def test_rigid_motion_of_scene_and_camera_changes_nothing():
     assert relative_error(there.light.diffuse[same], here.light.diffuse[same]) < 0.01
 
 
-def test_the_seed_decides_and_the_working_size_does_not(monkeypatch):
+def test_the_seed_decides_and_the_number_of_threads_does_not(monkeypatch):
     scene = still_life()
     first, again, other = light(scene), light(scene), light(scene, seed=1)
     np.testing.assert_array_equal(first.glossy, again.glossy)
     assert not np.array_equal(first.glossy, other.glossy)
-    monkeypatch.setattr(surface, "_CHUNK", 100)
-    np.testing.assert_allclose(light(scene).glossy, first.glossy, rtol=1e-6)
+    monkeypatch.setattr(threads, "_FEW", 100)
+    monkeypatch.setattr(threads, "cores", lambda: 7)
+    np.testing.assert_array_equal(light(scene).glossy, first.glossy)
+    np.testing.assert_array_equal(light(scene).diffuse, first.diffuse)
+
+
+def test_all_samples_are_spent_only_at_the_edges_of_shadows_and_in_highlights(monkeypatch):
+    scene, asked = still_life(), []
+
+    def watched(count, loop, scene, *arguments):
+        if loop is known_light.light_samples and arguments[2] > 0:  # the second time round
+            asked.append(arguments[4].mean())
+        threads.over_rows(count, loop, scene, *arguments)
+
+    monkeypatch.setattr(known_light, "over_rows", watched)
+    adaptive = light(scene, samples=64, size=64)
+    monkeypatch.setattr(known_light, "_PROBES", 64)
+    everywhere = light(scene, samples=64, size=64)
+    assert len(asked) == 2 and 0.02 < np.mean(asked) < 0.6
+    assert relative_error(adaptive.diffuse, everywhere.diffuse) < 0.01
+    assert relative_error(adaptive.glossy, everywhere.glossy) < 0.02
 
 
 def test_a_scene_without_light_is_dark_and_channels_carry_the_light():

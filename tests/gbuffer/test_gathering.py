@@ -5,12 +5,11 @@ import pytest
 from known_scenes import box, look_at, material, pack, sphere, square
 
 from rfpp.gbuffer.cell_finding import find_cells
-from rfpp.gbuffer.cells import NOWHERE
+from rfpp.gbuffer.cell_loops import NOWHERE
 from rfpp.gbuffer.first_hit import CELL_RAYS, SeenCells, first_hit
 from rfpp.gbuffer.gathering import with_cells
 from rfpp.gbuffer.light_sampler import LightSampler
-from rfpp.gbuffer.ray_ends import surface_at
-from rfpp.gbuffer.raycast import Hits
+from rfpp.gbuffer.ray_ends import follow_rays
 from rfpp.scene.triangles import SceneTriangles
 
 FOV, SIDE = 40.0, 32
@@ -98,9 +97,12 @@ def test_highlights_are_linear_in_light_and_only_on_what_shines():
 
 
 def test_surfaces_that_touch_are_not_seen_from_where_they_touch():
-    lamp = (square(0.2) + np.array([1.5, 0, 0]), material(emission=1))
-    scene = pack((square(1.0), material(0.2, specular=0.5)), lamp)
-    origin, way = np.zeros((2, 3)), np.array([[0, 0, -1.0]] * 2)
-    hits = Hits(np.int32([0, 0]), np.float32([[1, 0, 0]] * 2), np.float32([0, 0.5]))
-    rows, surface = surface_at(LightSampler(scene), origin, way, hits)
-    assert rows.tolist() == [1] and np.isfinite(surface.view).all()
+    """A ray that starts on another surface has no length, and no direction back: its light was NaN."""
+    lamp = (square(0.2) + np.array([1.5, 0, 0.5]), material(emission=1))
+    sampler = LightSampler(pack((square(1.0), material(0.2, specular=0.9, roughness=1.0)), lamp))
+    origin, way = np.array([[0, 0, 0.0], [0, 0, 0.5]] * 200), np.array([[0, 0, -1.0]] * 400)
+    rng = np.random.default_rng(0)
+    ends = follow_rays(sampler, find_cells(sampler)[1], origin, way, np.ones(400), rng)
+    touching, away = ends.highlights[::2], ends.highlights[1::2]
+    assert not touching.any() and (away > 0).any() and np.isfinite(away).all()
+    assert (ends.onward[::2] == NOWHERE).all()

@@ -6,6 +6,7 @@ import pytest
 from known_scenes import sphere, square
 
 from rfpp.errors import MissingDependencyError
+from rfpp.gbuffer.embree import embree
 from rfpp.gbuffer.raycast import RayCaster
 
 
@@ -67,5 +68,6 @@ def test_missing_embree_says_how_to_install_it(monkeypatch):
         return original(name, *args, **kwargs)
 
     monkeypatch.setattr(builtins, "__import__", without_embree)
+    embree.cache_clear()
     with pytest.raises(MissingDependencyError, match="pip install embreex"):
         RayCaster(square().astype(np.float32))

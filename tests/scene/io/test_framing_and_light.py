@@ -9,8 +9,8 @@ import pytest
 from known_scenes import look_at, material, pack
 
 from rfpp.errors import SceneError
-from rfpp.gbuffer.direct_light import with_direct_light
 from rfpp.gbuffer.first_hit import first_hit
+from rfpp.gbuffer.known_light import with_known_light
 from rfpp.gbuffer.light_sampler import LightSampler
 from rfpp.scene.io.framing import default_camera, framed
 from rfpp.scene.io.imported_scene import ImportedScene, Lamp, Part, plain_material
@@ -89,7 +89,7 @@ def cast(triangles: SceneTriangles, width: int = 17) -> float:
     """Mean irradiance, shadows included, that the ray caster finds on what a camera above sees."""
     pose, fov = look_at((0, 0, 1.2), up=(0, 1, 0)), 30.0
     sampler = LightSampler(triangles)
-    hits = with_direct_light(first_hit(triangles, pose, fov, width, width), pose, fov, sampler, samples=4)
+    hits = with_known_light(first_hit(triangles, pose, fov, width, width), pose, fov, sampler, samples=4)
     return float(np.pi * hits.light.diffuse[hits.hit].mean())
 
 

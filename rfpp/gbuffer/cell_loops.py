@@ -1,0 +1,258 @@
+"""Cells that rays end in, and what the glossy lobe of the surface there sends back along them; see `ray_ends`."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from rfpp.gbuffer.compiled import compiled
+from rfpp.gbuffer.counted_random import key_of, uniform
+from rfpp.gbuffer.embree import new_ray
+from rfpp.gbuffer.ggx import lobe_and_pdf
+from rfpp.gbuffer.light_loops import along_lobe, direct_at
+from rfpp.gbuffer.lit_scene import (
+    alpha_of,
+    blurred,
+    density_of_lobes,
+    met,
+    scattering,
+    surface_there,
+)
+from rfpp.gbuffer.vectors import GOLDEN, dot, in_frame, in_world, normal_of, tangents, triple
+
+#: What a ray's end is called that meets no cell.
+NOWHERE = -1
+#: Half an object is cut into so many pieces along an axis at most.
+MOST_PIECES = 4
+#: An object that reaches less far along an axis than this share of its greatest reach is flat.
+FLAT = 1e-4
+#: Directions of a triangle in its object's axes: forwards or backwards along one of three; and its two sides.
+DIRECTIONS, SIDES = 6, 2
+#: Keys of an octant.
+KEYS_OF_OCTANT = (2 * MOST_PIECES) ** 3 * DIRECTIONS * SIDES
+#: Pixels along each side of a tile.
+_TILE = 4
+#: Numbers under a key: of the ray thrown on, of whether it is, of the light there.
+_WAY_U, _WAY_V, _SENT, _LIGHT = 0, 1, 2, 3
+
+
+class CellTable(NamedTuple):
+    """What loops read of a `CellMap`.
+
+    Attributes:
+        owner, direction: [M] object of each triangle, and which way it faces in the object's axes.
+        centroid, axes, half, pieces: see `CellGrid`.
+        keys, cell: ascending, and the cell of each; NOWHERE for those that no light can reach.
+        coarse_keys, coarse_cell: of every octant's side, its first.
+    """
+
+    owner: Int[np.ndarray, " m"]
+    direction: Int[np.ndarray, " m"]
+    centroid: Float[np.ndarray, "o 3"]
+    axes: Float[np.ndarray, "o 3 3"]
+    half: Float[np.ndarray, "o 3"]
+    pieces: Int[np.ndarray, "o 3"]
+    keys: Int[np.ndarray, " k"]
+    cell: Int[np.ndarray, " k"]
+    coarse_keys: Int[np.ndarray, " j"]
+    coarse_cell: Int[np.ndarray, " j"]
+
+
+@compiled
+def key_at(table, triangle, point, back):
+    """A number for the cell of a point on the front or the back of a triangle; the same for the same cell."""
+    owner = table.owner[triangle]
+    half, pieces, centre = table.half[owner], table.pieces[owner], table.centroid[owner]
+    flat = FLAT * max(half[0], half[1], half[2])
+    away = (point[0] - centre[0], point[1] - centre[1], point[2] - centre[2])
+    octant, box = 0, 0
+    for k in range(3):
+        place = pieces[k]
+        if half[k] >= flat:  # else rounding alone would say on which side a point lies
+            place += np.int64(np.floor(dot(table.axes[owner, k], away) / max(half[k], 1e-9) * pieces[k]))
+        place = min(max(place, 0), 2 * pieces[k] - 1)
+        octant |= (place >= pieces[k]) << k  # octant first: it is what a token of HOCT stands for
+        box = box * 2 * MOST_PIECES + place
+    key = (owner * 8 + octant) * (2 * MOST_PIECES) ** 3 + box
+    return (key * DIRECTIONS + table.direction[triangle]) * SIDES + back
+
+
+@compiled
+def coarse_key(key):
+    """A number for octant and side alone."""
+    return key // KEYS_OF_OCTANT * SIDES + key % SIDES
+
+
+@compiled
+def cell_of(table, key):
+    """The cell of a key. Cells so small that none of our points lay there: any of their octant and side."""
+    row = _found(table.keys, key)
+    if row >= 0:
+        return table.cell[row]
+    row = _found(table.coarse_keys, coarse_key(key))
+    return table.coarse_cell[row] if row >= 0 else NOWHERE
+
+
+@compiled
+def keys_each(start, stop, table, triangle, points, back, keys):
+    """Keys of points."""
+    for row in range(start, stop):
+        keys[row] = key_at(table, triangle[row], points[row], back[row])
+
+
+@compiled
+def cells_each(start, stop, table, keys, cell):
+    """Cells of keys."""
+    for row in range(start, stop):
+        cell[row] = cell_of(table, keys[row])
+
+
+@compiled
+def followed(scene, table, ray, origin, way, density, key, light):
+    """What a ray meets: its cell, the cell in which the ray ends that the glossy lobe there throws on, and, in the
+    first three numbers of `light` [6], the radiance of the emitters that comes back by way of that lobe.
+
+    Onward is NOWHERE in the share in which the lobe, for all that its albedo does not say, sends no light on.
+
+    Args:
+        density: per solid angle, with which the surface that the ray leaves sends rays this way.
+    """
+    light[:] = 0.0
+    triangle, a, b, distance, there = met(scene, ray, origin, way)
+    if triangle < 0:
+        return NOWHERE, NOWHERE
+    cell = _cell_met(scene, table, triangle, way, there)
+    specular = scene.material[triangle, 3:6]
+    # a ray that starts on another surface, where two touch, ends where it starts: it is not seen from anywhere
+    if scene.emitter[triangle] >= 0 or distance <= 0 or max(specular[0], specular[1], specular[2]) <= 0:
+        return cell, NOWHERE
+    point, normal, back = surface_there(scene, triangle, a, b, way, there)
+    alpha = blurred(alpha_of(scene, triangle), density)
+    first, second = tangents(normal)
+    view = in_frame(back, first, second, normal)
+    if view[2] <= 0:
+        return cell, NOWHERE
+    of_light = key_of(key, _LIGHT)
+    direct_at(scene, ray, point, normal, back, alpha, specular, 1, of_light, False, light[3:], light[:3])
+    for c in range(3):
+        light[c] *= specular[c]
+    sent, way = thrown(
+        scene, view, alpha, specular, uniform(key, _WAY_U), uniform(key, _WAY_V), uniform(key, _SENT), first, second,
+        normal,
+    )  # fmt: skip
+    if not sent:
+        return cell, NOWHERE
+    triangle, _, _, _, there = met(scene, ray, point, way)
+    return cell, (_cell_met(scene, table, triangle, way, there) if triangle >= 0 else NOWHERE)
+
+
+@compiled
+def thrown(scene, view, alpha, specular, u, v, threshold, first, second, normal):
+    """Whether the glossy lobe throws a ray, and its direction.
+
+    The lobe absorbs a ray in the share in which it does not send its light on, beside what its albedo says.
+
+    Args:
+        view: in the frame of the two tangents and the normal.
+    """
+    toward, way = along_lobe(view, alpha, u, v, first, second, normal)
+    reflected, by_lobe = lobe_and_pdf(view, toward, alpha)
+    scale = 0.0
+    for c in range(3):
+        scale += scattering(scene, view[2], alpha, specular[c]) / 3
+    return scale * reflected / max(by_lobe, 1e-30) > threshold, way
+
+
+@compiled
+def follow_each(start, stop, scene, table, origins, ways, density, key, cell, onward, light):
+    """Rays one by one; see `followed`."""
+    ray, found = new_ray(), np.zeros(6)
+    for row in range(start, stop):
+        of_ray = key_of(key, row)
+        cell[row], onward[row] = followed(
+            scene, table, ray, triple(origins[row]), triple(ways[row]), density[row], of_ray, found
+        )
+        light[row] = found[:3]
+
+
+@compiled
+def cells_seen(start, stop, scene, table, points, point_of, width, key, diffuse, glossy, diffuse_on, glossy_on, light):
+    """The cells that pixels see; see `SeenCells`, whose arrays these fill in.
+
+    Args:
+        points: `rfpp.gbuffer.surface.Points`.
+        point_of: [pixels, points of each] rows of the points, -1 for none.
+        width: of the image in pixels.
+        light: [pixels, 3] highlights.
+    """
+    ray, found = new_ray(), np.zeros(6)
+    rays = diffuse.shape[1]
+    for pixel in range(start, stop):
+        own_key = key_of(key, pixel)
+        y, x = pixel // width, pixel % width
+        # what a pixel's few rays miss, its neighbours' find: those of a tile's pixels together are one lattice
+        of_tile = key_of(key_of(key, -1), y // _TILE * width + x // _TILE)
+        place = y % _TILE * _TILE + x % _TILE
+        turn = uniform(own_key, -1)
+        for s in range(rays):
+            row = point_of[pixel, s % points.of_pixel]
+            if row < 0:
+                continue
+            u, v = _of_lattice(place + _TILE * _TILE * s, rays * _TILE * _TILE, of_tile)
+            point, normal, alpha = triple(points.point[row]), triple(points.normal[row]), points.alpha[row]
+            specular = points.specular[row]
+            first, second = tangents(normal)
+            view = in_frame(points.eye[row], first, second, normal)
+            mean_diffuse = (points.diffuse[row, 0] + points.diffuse[row, 1] + points.diffuse[row, 2]) / 3
+            mean_specular = (specular[0] + specular[1] + specular[2]) / 3
+            # as dense as diffuse light arrives: points of a disc, lifted (Malley 1988)
+            radius, angle = np.sqrt(u), 2 * np.pi * v
+            toward = (radius * np.cos(angle), radius * np.sin(angle), np.sqrt(1 - u))
+            by_lobe = lobe_and_pdf(view, toward, alpha)[1] if alpha >= 0 else 0.0
+            density = density_of_lobes(mean_diffuse, mean_specular, toward[2], by_lobe)
+            way = in_world(toward, first, second, normal)
+            of_ray = key_of(own_key, 2 * s)
+            diffuse[pixel, s], diffuse_on[pixel, s] = followed(scene, table, ray, point, way, density, of_ray, found)
+            for c in range(3):
+                light[pixel, c] += found[c] / rays
+            if alpha < 0:
+                continue
+            # each ray of a pixel is absorbed above a threshold of its own
+            threshold = (s + turn * rays) % rays / rays
+            sent, way = thrown(scene, view, alpha, specular, u, v, threshold, first, second, normal)
+            if not sent:
+                continue
+            toward = in_frame(way, first, second, normal)
+            density = density_of_lobes(mean_diffuse, mean_specular, toward[2], lobe_and_pdf(view, toward, alpha)[1])
+            glossy[pixel, s], glossy_on[pixel, s] = followed(
+                scene, table, ray, point, way, density, key_of(own_key, 2 * s + 1), found
+            )
+
+
+@compiled
+def _of_lattice(number, count, key):
+    """A point of the unit square: one of so many that are spread evenly, displaced."""
+    u, v = (number + 0.5) / count + uniform(key, 0), number * GOLDEN + uniform(key, 1)
+    return u % 1, v % 1
+
+
+@compiled
+def _cell_met(scene, table, triangle, way, point):
+    a, b, c = scene.positions[triangle]
+    back = dot(normal_of(triple(a), triple(b), triple(c)), way) > 0
+    return cell_of(table, key_at(table, triangle, point, back))
+
+
+@compiled
+def _found(keys, key):
+    """Where a key stands among ascending ones; -1 for nowhere."""
+    low, high = 0, len(keys)
+    while low < high:
+        middle = (low + high) // 2
+        if keys[middle] < key:
+            low = middle + 1
+        else:
+            high = middle
+    return low if low < len(keys) and keys[low] == key else -1

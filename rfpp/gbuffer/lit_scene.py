@@ -1,0 +1,110 @@
+"""What compiled loops read of a scene: triangles to cast rays at, their materials, and the emitters among them."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from rfpp.gbuffer import ggx
+from rfpp.gbuffer.compiled import compiled
+from rfpp.gbuffer.embree import closest
+from rfpp.gbuffer.vectors import added, dot, normal_of, scaled, triple, unit
+
+#: Rays start and end this far from surfaces, in world units (a scene's edge is 1).
+CLEARANCE = 1e-4
+
+
+class LitScene(NamedTuple):
+    """M triangles, of which E emit, in L lights.
+
+    Attributes:
+        address: of the structure that rays are cast into (`rfpp.gbuffer.embree`).
+        positions, normals, material: as `SceneTriangles` has them.
+        emitter: [M] row of those that emit below, -1 for others.
+        corners, facing, radiance: [E, 3, 3], [E, 3] unit normals, [E, 3], light by light.
+        steps: [E] sums of the shares that triangles have of the samples of their light, up to each.
+        density: [E] of samples of their light, per area.
+        first: [L + 1] emitters of each light.
+        shining, exact: [L] whether its light is wanted; whether its triangles are few enough for Lambert's formula.
+        albedo, mean_albedo: see `rfpp.gbuffer.ggx.lobe_albedo`.
+    """
+
+    address: int
+    positions: Float[np.ndarray, "m 3 3"]
+    normals: Float[np.ndarray, "m 3 3"]
+    material: Float[np.ndarray, "m 10"]
+    emitter: Int[np.ndarray, " m"]
+    corners: Float[np.ndarray, "e 3 3"]
+    facing: Float[np.ndarray, "e 3"]
+    radiance: Float[np.ndarray, "e 3"]
+    steps: Float[np.ndarray, " e"]
+    density: Float[np.ndarray, " e"]
+    first: Int[np.ndarray, " l_plus_1"]
+    shining: Bool[np.ndarray, " l"]
+    exact: Bool[np.ndarray, " l"]
+    albedo: Float[np.ndarray, "table table"]
+    mean_albedo: Float[np.ndarray, " table"]
+
+
+@compiled
+def light_of(scene, emitter):
+    """The light that an emitter belongs to."""
+    light = 0
+    while scene.first[light + 1] <= emitter:
+        light += 1
+    return light
+
+
+@compiled
+def met(scene, ray, origin, way):
+    """What a ray meets: triangle (-1 for none), weights of its corners 1 and 2, distance, and the point."""
+    triangle, u, v, distance = closest(scene.address, ray, origin, way)
+    return triangle, u, v, distance, added(origin, scaled(way, distance if triangle >= 0 else 0.0))
+
+
+@compiled
+def surface_there(scene, triangle, u, v, way, point):
+    """Of what a ray of this direction has met: where rays from it start, its shading normal on the ray's side, and the
+    direction back."""
+    corners = scene.positions[triangle]
+    a, b, c = triple(corners[0]), triple(corners[1]), triple(corners[2])
+    face = unit(*normal_of(a, b, c))
+    corners = scene.normals[triangle]
+    a, b, c = triple(corners[0]), triple(corners[1]), triple(corners[2])
+    w = 1 - u - v
+    normal = unit(w * a[0] + u * b[0] + v * c[0], w * a[1] + u * b[1] + v * c[1], w * a[2] + u * b[2] + v * c[2])
+    side = -1.0 if dot(face, way) > 0 else 1.0
+    return added(point, scaled(face, side * CLEARANCE)), scaled(normal, side), scaled(way, -1.0)
+
+
+@compiled
+def scattering(scene, cosine, alpha, specular):
+    """See `rfpp.gbuffer.ggx.multiple_scattering`: of one surface and colour."""
+    return ggx.scattered(scene.albedo, scene.mean_albedo, cosine, alpha, specular)
+
+
+@compiled
+def alpha_of(scene, triangle):
+    """Of its glossy lobe."""
+    roughness = np.float64(scene.material[triangle, 6])
+    return max(roughness * roughness, ggx.MIN_ALPHA)
+
+
+@compiled
+def blurred(alpha, density):
+    """α of what is seen by rays of this density: at least √(1 - density) / 2, as "Filter Glossy" 1 of Cycles has it."""
+    return max(alpha, 0.5 * np.sqrt(max(1 - density, 0.0)))
+
+
+@compiled
+def density_of_lobes(diffuse, specular, cosine, by_lobe):
+    """With which both lobes of a surface together send out a ray, per solid angle.
+
+    Args:
+        diffuse, specular: mean albedos.
+        cosine: of the ray.
+        by_lobe: density of the glossy lobe's own rays.
+    """
+    return (diffuse * cosine / np.pi + specular * by_lobe) / max(diffuse + specular, 1e-12)

@@ -1,0 +1,202 @@
+"""Direct light and reflections at the points of an image, with rays spent where they count; see `known_light`."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rfpp.gbuffer import ggx
+from rfpp.gbuffer.compiled import compiled
+from rfpp.gbuffer.counted_random import key_of, spread, uniform
+from rfpp.gbuffer.embree import new_ray
+from rfpp.gbuffer.ggx import lobe_and_pdf
+from rfpp.gbuffer.light_loops import along_lobe, by_formula, direct_at, emitter_light, light_sample, over_density
+from rfpp.gbuffer.lit_scene import (
+    alpha_of,
+    blurred,
+    density_of_lobes,
+    met,
+    scattering,
+    surface_there,
+)
+from rfpp.gbuffer.vectors import dot, in_frame, tangents, triple
+
+#: What is summed of the samples of one light, for each point.
+WHOLE, VISIBLE, DIFFUSE, GLOSSY, LOBE, SQUARES, SUMS = 0, 1, 2, 5, 8, 9, 10
+#: Highlights of lobes up to this α ask for all samples, those of wider ones if their standard error in a pixel is more
+#: than this share of the light that it gets of the lamp. (Stopping sooner would miss bright samples more than dark.)
+_SHARP, _NOISY = 0.25, 0.02
+#: What a pixel has seen of a light.
+HIDDEN, CLEAR = 1, 2
+
+
+@compiled
+def light_samples(start, stop, scene, light, points, begin, end, only, key, sums):
+    """Adds samples of one light to the sums of each point.
+
+    Args:
+        points: `rfpp.gbuffer.surface.Points`.
+        begin, end: which samples of each point.
+        only: [pixels] those whose points are sampled.
+        sums: [R, SUMS].
+    """
+    ray = new_ray()
+    for row in range(start, stop):
+        pixel = points.pixel[row]
+        if not only[pixel]:
+            continue
+        point, normal = triple(points.point[row]), triple(points.normal[row])
+        own, alpha = sums[row], points.alpha[row]
+        first, second = tangents(normal)
+        view = in_frame(points.eye[row], first, second, normal)
+        own_key = key_of(key_of(key, light), pixel)
+        shift_u, shift_v = uniform(own_key, 0), uniform(own_key, 1)
+        for s in range(begin, end):
+            # all samples of a pixel's points are spread over the light together
+            u, v = spread(s * points.of_pixel + points.nth[row], shift_u, shift_v)
+            e, way, density, arriving, clear = light_sample(scene, ray, light, point, normal, u, v)
+            own[WHOLE] += arriving
+            if not clear:
+                continue
+            own[VISIBLE] += arriving
+            toward = in_frame(way, first, second, normal)
+            by_area = 0.0 if scene.exact[light] else toward[2] / density / np.pi
+            by_lobe = 0.0
+            if alpha >= 0:
+                reflected, of_lobe = lobe_and_pdf(view, toward, alpha)
+                by_lobe = reflected * over_density(density, of_lobe)
+            own[LOBE] += by_lobe
+            own[SQUARES] += by_lobe * by_lobe
+            for c in range(3):
+                own[DIFFUSE + c] += by_area * scene.radiance[e, c]
+                own[GLOSSY + c] += by_lobe * scene.radiance[e, c]
+
+
+@compiled
+def find_edges(points, sums, samples, height, width, reach, edge):
+    """Fills in which pixels want more samples of a light: those that see it whole and hidden, themselves or within so
+    many pixels, at the edges of shadows, and those with a highlight of it that is sharp or noisy.
+
+    Decided by each light's own light alone, so that the light of several is the sum of theirs.
+
+    Args:
+        samples: of each point, in the sums.
+        edge: [H · W] bool.
+    """
+    seen, lobe = np.zeros(height * width, np.uint8), np.zeros((height * width, 3))
+    for row in range(len(points.pixel)):
+        own, pixel = sums[row], points.pixel[row]
+        if own[WHOLE] > 0:
+            seen[pixel] |= (CLEAR if own[VISIBLE] > 0 else 0) | (HIDDEN if own[VISIBLE] < own[WHOLE] else 0)
+        diffuse, specular = points.diffuse[row], points.specular[row]
+        shine = (specular[0] + specular[1] + specular[2]) / 3
+        lobe[pixel, 0] += own[LOBE] * shine
+        lobe[pixel, 1] += own[SQUARES] * shine * shine
+        lobe[pixel, 2] += own[VISIBLE] / np.pi * (diffuse[0] + diffuse[1] + diffuse[2]) / 3
+        if own[VISIBLE] > 0 and 0 <= points.alpha[row] <= _SHARP:
+            lobe[pixel, 1] = np.inf
+    count = samples * points.of_pixel
+    for y in range(height):
+        for x in range(width):
+            found = 0
+            for j in range(max(y - reach, 0), min(y + reach + 1, height)):
+                for i in range(max(x - reach, 0), min(x + reach + 1, width)):
+                    found |= seen[j * width + i]
+            mean, square, dull = lobe[y * width + x] / count
+            error = np.sqrt(max(square - mean * mean, 0.0) / count)
+            edge[y * width + x] = found == CLEAR | HIDDEN or error > _NOISY * (mean + dull)
+
+
+@compiled
+def of_light(start, stop, scene, light, points, edge, few, many, sums, diffuse, glossy):
+    """Adds the light of one light to what each point has.
+
+    Args:
+        few, many: samples of points away from edges, and there.
+    """
+    for row in range(start, stop):
+        own, count = sums[row], (many if edge[points.pixel[row]] else few)
+        if own[VISIBLE] <= 0:
+            continue
+        if scene.exact[light]:
+            by_formula(
+                scene,
+                light,
+                triple(points.point[row]),
+                triple(points.normal[row]),
+                own[VISIBLE] / own[WHOLE],
+                diffuse[row],
+            )
+        for c in range(3):
+            diffuse[row, c] += own[DIFFUSE + c] / count
+            glossy[row, c] += own[GLOSSY + c] / count
+
+
+@compiled
+def lobe_rays(start, stop, scene, points, samples, reflects, key, glossy, light, albedo):
+    """What rays of the glossy lobe bring: of emitters, and of surfaces that are lit by them.
+
+    Args:
+        points: `rfpp.gbuffer.surface.Points`.
+        samples: rays of a point, at most: a mirror's are all one, and a weak or wide lobe shows less of their noise.
+        reflects: whether surfaces are of interest.
+        glossy: [R, 3] of the emitters; what light samples have brought, to which it is added.
+        light, albedo: [R, 3] to fill in: see `Reflection`.
+    """
+    ray = new_ray()
+    diffuse_there, glossy_there = np.zeros(3), np.zeros(3)
+    for row in range(start, stop):
+        alpha, specular = points.alpha[row], points.specular[row]
+        if alpha < 0:
+            continue
+        point, normal = triple(points.point[row]), triple(points.normal[row])
+        first, second = tangents(normal)
+        view = in_frame(points.eye[row], first, second, normal)
+        own_diffuse = (points.diffuse[row, 0] + points.diffuse[row, 1] + points.diffuse[row, 2]) / 3
+        own_specular = (specular[0] + specular[1] + specular[2]) / 3
+        own_key = key_of(key, points.pixel[row])
+        shift_u, shift_v = uniform(own_key, 0), uniform(own_key, 1)
+        count = _rays(samples, alpha, own_specular)
+        emitted = np.zeros(3)
+        for s in range(count):
+            number = s * points.of_pixel + points.nth[row]
+            u, v = spread(number, shift_u, shift_v)
+            toward, way = along_lobe(view, alpha, u, v, first, second, normal)
+            if toward[2] <= 0:
+                continue
+            triangle, a, b, distance, there = met(scene, ray, point, way)
+            if triangle < 0:
+                continue
+            if scene.emitter[triangle] >= 0:
+                emitter_light(scene, scene.emitter[triangle], way, distance, view, toward, alpha, emitted)
+                continue
+            if not reflects or distance <= 0:
+                continue
+            reflected, by_lobe = lobe_and_pdf(view, toward, alpha)
+            seen_from, its_normal, back = surface_there(scene, triangle, a, b, way, there)
+            material = scene.material[triangle]
+            density = density_of_lobes(own_diffuse, own_specular, toward[2], by_lobe)
+            shines = max(material[3], material[4], material[5]) > 0 and dot(its_normal, back) > 0
+            its_alpha = blurred(alpha_of(scene, triangle), density) if shines else -1.0
+            of_ray = key_of(own_key, 2 + number)
+            direct_at(
+                scene, ray, seen_from, its_normal, back, its_alpha, material[3:6], 1, of_ray, True, diffuse_there,
+                glossy_there,
+            )  # fmt: skip
+            for c in range(3):
+                light[row, c] += (
+                    reflected / by_lobe * (material[c] * diffuse_there[c] + material[3 + c] * glossy_there[c])
+                )
+                albedo[row, c] += reflected / by_lobe * (material[c] + material[3 + c])
+        for c in range(3):
+            factor = scattering(scene, view[2], alpha, specular[c])
+            glossy[row, c] = (glossy[row, c] + emitted[c] / count) * factor
+            light[row, c] *= factor / count
+            albedo[row, c] *= factor / count
+
+
+@compiled
+def _rays(samples, alpha, specular):
+    """Of a point's glossy lobe."""
+    if alpha <= ggx.MIN_ALPHA:
+        return 1
+    return min(max(int(np.ceil(samples * min(2 * specular, 1.0) * (1 - 0.5 * np.sqrt(alpha)))), 1), samples)
