@@ -13,6 +13,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from rfpp.scene.io.imported_scene import Part
+from rfpp.scene.mesh import distinct
 
 #: The most that a training scene has.
 MAX_OBJECTS = 70
@@ -22,8 +23,7 @@ def components(part: Part) -> Iterator[Part]:
     """Its connected pieces, in the order of their first faces; equal positions count as one vertex."""
     if not len(part):
         return
-    _, welded = np.unique(part.vertices + 0.0, axis=0, return_inverse=True)
-    corners = welded.reshape(-1)[part.faces]
+    corners = distinct(part.vertices)[1][part.faces]
     edges = (np.concatenate([corners[:, 0], corners[:, 0]]), np.concatenate([corners[:, 1], corners[:, 2]]))
     graph = coo_array((np.ones(len(edges[0]), bool), edges), shape=(corners.max() + 1,) * 2)
     label = connected_components(graph, directed=False)[1][corners[:, 0]]
@@ -31,18 +31,20 @@ def components(part: Part) -> Iterator[Part]:
     if len(first) == 1:
         yield part
         return
-    by_piece = np.split(np.argsort(piece.reshape(-1), kind="stable"), np.cumsum(count)[:-1])
+    piece = piece.reshape(-1)
     if len(first) > MAX_OBJECTS:  # crumbs are put together first: each is looked at as an object once only
-        areas = np.bincount(piece.reshape(-1), weights=part.areas)
+        areas = np.bincount(piece, weights=part.areas)
         largest = np.argsort(-areas, kind="stable")[:MAX_OBJECTS]
         crumbs = np.setdiff1d(np.arange(len(first)), largest)
-        centres = _centres(part, piece.reshape(-1), len(first))
-        nearest = cKDTree(centres[largest]).query(centres[crumbs])[1]
-        for crumb, body in zip(crumbs, largest[nearest], strict=True):
-            by_piece[body] = np.concatenate([by_piece[body], by_piece[crumb]])
-        first, by_piece = first[largest], [by_piece[i] for i in largest]
+        centres = _centres(part, piece, len(first))
+        body = np.empty(len(first), np.int64)
+        body[largest] = np.arange(len(largest))
+        body[crumbs] = cKDTree(centres[largest]).query(centres[crumbs])[1]
+        first, piece = first[largest], body[piece]
+        count = np.bincount(piece)
+    by_piece = np.split(np.argsort(piece, kind="stable"), np.cumsum(count)[:-1])
     for index in np.argsort(first):
-        yield part.only(np.sort(by_piece[index]))
+        yield part.only(by_piece[index])
 
 
 def merged(parts: Sequence[Part], path: Path) -> list[Part]:
