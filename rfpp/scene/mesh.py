@@ -12,6 +12,8 @@ from rfpp.errors import SceneError
 
 #: A triangle lower than this fraction of its longest side has no direction in float32.
 _DEGENERATE_SLIMNESS = 1e-6
+#: Odd numbers whose multiples spread the bits of coordinates.
+_MIXERS = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], np.uint64)
 #: Triangles at a time, so that what is computed of them stays in the processor's cache.
 _CHUNK = 1 << 14
 
@@ -156,18 +158,41 @@ def compacted(faces: Int[np.ndarray, "f 3"], count: int) -> tuple[Int[np.ndarray
     return np.flatnonzero(is_used), (np.cumsum(is_used) - 1)[faces]
 
 
+def extent(positions: Float[np.ndarray, "n 3"]) -> tuple[Float[np.ndarray, 3], Float[np.ndarray, 3]]:
+    """The least and the greatest x, y and z; column by column, in a fifth of the time of a reduction along the rows."""
+    return np.array([column.min() for column in positions.T]), np.array([column.max() for column in positions.T])
+
+
 def distinct(positions: Float[np.ndarray, "n 3"]) -> tuple[Float[np.ndarray, "d 3"], Int[np.ndarray, " n"]]:
     """Different positions sorted by x, y, z, and the number of each position among them; -0 is 0.
 
-    The same as `numpy.unique` along an axis, in a third of the time.
+    The same as `numpy.unique` along an axis, several times as fast.
     """
     positions = positions + 0.0  # turns -0.0 into 0.0
-    order = np.lexsort(positions.T[::-1])
+    first, number = same_positions(positions)
+    order = np.lexsort(positions[first].T[::-1])
+    rank = np.empty(len(order), np.int64)
+    rank[order] = np.arange(len(order))
+    return positions[first[order]], rank[number]
+
+
+def same_positions(positions: Float[np.ndarray, "n 3"]) -> tuple[Int[np.ndarray, " d"], Int[np.ndarray, " n"]]:
+    """One index of each different position, in no useful order, and which of these each position equals; -0 is 0."""
+    bits = (np.ascontiguousarray(positions, np.float64) + 0.0).view(np.uint64)
+    bits ^= bits >> np.uint64(32)  # the lower bits of what was float32 are all zero
+    key = (bits[:, 0] * _MIXERS[0] + bits[:, 1]) * _MIXERS[1] + bits[:, 2]
+    order = np.argsort((key ^ key >> np.uint64(32)) * _MIXERS[2])  # a sort of one number each, not of three
     ordered = positions[order]
-    is_new = np.append(True, (ordered[1:] != ordered[:-1]).any(axis=1))[: len(order)]
+    x, y, z = (column[1:] != column[:-1] for column in ordered.T)
+    is_new = x | y | z
+    if np.count_nonzero(is_new) != np.count_nonzero(np.diff(key[order])):  # different positions with equal keys
+        order = np.lexsort(positions.T)
+        x, y, z = (column[1:] != column[:-1] for column in positions[order].T)
+        is_new = x | y | z
+    is_new = np.append(True, is_new)[: len(order)]
     number = np.empty(len(order), np.int64)
     number[order] = np.cumsum(is_new) - 1
-    return ordered[is_new], number
+    return order[is_new], number
 
 
 def _areas(corners: Float[np.ndarray, "f 3 3"]) -> Float[np.ndarray, " f"]:

@@ -13,7 +13,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from rfpp.scene.io.imported_scene import Part
-from rfpp.scene.mesh import distinct
+from rfpp.scene.mesh import same_positions
 
 #: The most that a training scene has.
 MAX_OBJECTS = 70
@@ -23,7 +23,7 @@ def components(part: Part) -> Iterator[Part]:
     """Its connected pieces, in the order of their first faces; equal positions count as one vertex."""
     if not len(part):
         return
-    corners = distinct(part.vertices)[1][part.faces]
+    corners = same_positions(part.vertices)[1][part.faces]
     edges = (np.concatenate([corners[:, 0], corners[:, 0]]), np.concatenate([corners[:, 1], corners[:, 2]]))
     graph = coo_array((np.ones(len(edges[0]), bool), edges), shape=(corners.max() + 1,) * 2)
     label = connected_components(graph, directed=False)[1][corners[:, 0]]
@@ -85,7 +85,9 @@ def _joined(parts: Sequence[Part]) -> Part:
 
 def _centres(part: Part, piece: np.ndarray, count: int) -> np.ndarray:
     """[count, 3] mean of the faces' centres of each piece."""
-    sums = np.stack([np.bincount(piece, weights=column, minlength=count) for column in part.corners.mean(axis=1).T])
+    a, b, c = part.faces.T
+    of_faces = ((column[a] + column[b] + column[c]) / 3 for column in part.vertices.T)
+    sums = np.stack([np.bincount(piece, weights=column, minlength=count) for column in of_faces])
     return (sums / np.bincount(piece, minlength=count)).T
 
 

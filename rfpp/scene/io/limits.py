@@ -22,8 +22,8 @@ MAX_TEXT_BYTES = 2**27
 MAX_LINE_BYTES = 2**20
 #: A text that is parsed into Python objects, which take up to thirty times its size.
 MAX_JSON_BYTES = 2**25
-#: Fifty times what networks are trained for; a packed triangle takes 112 bytes, and several times that on the way.
-MAX_TRIANGLES = 4_000_000
+#: Forty times what networks are trained for, and what loads within ten seconds and 2 GB on two cores.
+MAX_TRIANGLES = 3_000_000
 #: Lines of a text that are read one by one, which takes microseconds each.
 MAX_SINGLE_LINES = 1_000_000
 #: Entries of any list that become Python objects, and parts of a scene.

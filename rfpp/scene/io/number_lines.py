@@ -1,7 +1,7 @@
 """Lines of numbers in a text, converted by the thousand: a scan has millions of them.
 
-What is unusual in any way is left to a format's reader of single lines, which knows how to complain; of those a file has
-only so many (`MAX_SINGLE_LINES`).
+What is unusual in any way is left to a format's reader of single lines, which knows how to complain; of those a file
+has only so many (`MAX_SINGLE_LINES`).
 """
 
 from __future__ import annotations

@@ -112,8 +112,10 @@ def _rows_with_lists(content: bytes, element: Element, position: int) -> tuple[d
     if element.count and (found := _equal_rows(content, element, position)):
         return found
     if element.count * len(element.properties) > MAX_TRIANGLES:
-        raise SceneError(f"{element.count:,} rows of '{one_line(element.name, 40)}' with lists of different lengths are "
-                         f"more than {MAX_TRIANGLES // len(element.properties):,}: triangulate it where it was made")
+        raise SceneError(
+            f"{element.count:,} rows of '{one_line(element.name, 40)}' with lists of different lengths are "
+            f"more than {MAX_TRIANGLES // len(element.properties):,}: triangulate it where it was made"
+        )
     # Where a list begins is known only after the one before it: first all places, then all values at once.
     begins, lengths = [array("q") for _ in element.properties], [array("q") for _ in element.properties]
     order = "big" if element.order == ">" else "little"

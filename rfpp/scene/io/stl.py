@@ -70,8 +70,8 @@ def _from_text(content: bytes) -> Float[np.ndarray, "f 3 3"]:
         if vertices is None:
             single += len(of_chunk) - 1
             if single > MAX_SINGLE_LINES:
-                raise SceneError(f"more than {MAX_SINGLE_LINES:,} of its lines are written unusually: save it as binary "
-                                 "STL")  # fmt: skip
+                raise SceneError(f"more than {MAX_SINGLE_LINES:,} of its lines are written unusually: "
+                                 "save it as binary STL")  # fmt: skip
             vertices = _vertices_one_by_one(content, of_chunk.tolist(), first + 1)
         chunks.append(vertices)
     vertices = np.concatenate(chunks)
@@ -86,7 +86,7 @@ def _vertices(text: np.ndarray, bounds: np.ndarray) -> Float[np.ndarray, "v 3"] 
     text, bounds = text[bounds[0] : bounds[-1]], bounds - bounds[0]
     begins = np.append(token_starts(text), len(text))
     first = begins[np.searchsorted(begins, bounds[:-1])]  # of a later line, if this one is empty
-    padded = np.append(text, np.full(len(_VERTEX), ord("\n"), np.uint8))
+    padded = np.append(text, np.full(len(_VERTEX) + 1, ord("\n"), np.uint8))
     named = (padded[first[:, None] + np.arange(len(_VERTEX))] == np.frombuffer(_VERTEX, np.uint8)).all(axis=1)
     named &= SPACE[padded[first + len(_VERTEX)]] & (first < bounds[1:])
     picked, bounds_of = lines_where(text, bounds, named)
