@@ -12,15 +12,22 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from rfpp.errors import SceneError
 from rfpp.scene.io.imported_scene import Part
 from rfpp.scene.mesh import same_positions
 
 #: The most that a training scene has.
 MAX_OBJECTS = 70
+#: Of a scan with all its crumbs; more are triangles that nobody has joined.
+_MAX_PIECES = 1_000_000
 
 
 def components(part: Part) -> Iterator[Part]:
-    """Its connected pieces, in the order of their first faces; equal positions count as one vertex."""
+    """Its connected pieces, in the order of their first faces; equal positions count as one vertex.
+
+    Raises:
+        SceneError: more pieces than are ever told apart.
+    """
     if not len(part):
         return
     corners = same_positions(part.vertices)[1][part.faces]
@@ -28,6 +35,10 @@ def components(part: Part) -> Iterator[Part]:
     graph = coo_array((np.ones(len(edges[0]), bool), edges), shape=(corners.max() + 1,) * 2)
     label = connected_components(graph, directed=False)[1][corners[:, 0]]
     _, first, piece, count = np.unique(label, return_index=True, return_inverse=True, return_counts=True)
+    if len(first) > _MAX_PIECES:
+        raise SceneError(
+            f"{len(first):,} loose pieces are more than {_MAX_PIECES:,}: join its triangles where it was made"
+        )
     if len(first) == 1:
         yield part
         return
