@@ -12,6 +12,10 @@ from rfpp.errors import SceneError
 
 #: A triangle lower than this fraction of its longest side has no direction in float32.
 _DEGENERATE_SLIMNESS = 1e-6
+#: Odd numbers whose multiples spread the bits of coordinates.
+_MIXERS = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], np.uint64)
+#: Triangles at a time, so that what is computed of them stays in the processor's cache.
+_CHUNK = 1 << 14
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,8 +80,8 @@ def taken_apart(whole: Mesh, part_faces: Sequence[int] | Int[np.ndarray, " parts
     """Its first so many faces, the next and so on, each with the vertices that it uses: undoes `joined`."""
     pieces = []
     for faces in np.split(whole.faces, np.cumsum(part_faces)[:-1]):
-        used, renumbered = np.unique(faces, return_inverse=True)
-        pieces.append(Mesh(whole.vertices[used], renumbered.reshape(-1, 3)))
+        used, renumbered = compacted(faces, len(whole.vertices))
+        pieces.append(Mesh(whole.vertices[used], renumbered))
     return tuple(pieces)
 
 
@@ -123,8 +127,8 @@ def without_degenerate_faces(mesh: Mesh) -> Mesh:
     solid = has_area(mesh)
     if not solid.any():
         raise SceneError("every triangle has zero area: check the mesh and its scale")
-    used, faces = np.unique(mesh.faces[solid], return_inverse=True)
-    return Mesh(mesh.vertices[used], faces.reshape(-1, 3))
+    used, faces = compacted(mesh.faces if solid.all() else mesh.faces[solid], len(mesh.vertices))
+    return Mesh(mesh.vertices[used], faces)
 
 
 def has_area(mesh: Mesh) -> Bool[np.ndarray, " faces"]:
@@ -134,19 +138,88 @@ def has_area(mesh: Mesh) -> Bool[np.ndarray, " faces"]:
 
 def slimness(mesh: Mesh) -> Float[np.ndarray, " faces"]:
     """The height of each triangle over its longest side, as a share of that side; 0 if it is a point."""
-    a, b, c = np.moveaxis(mesh.corners.astype(np.float64), (0, 1, 2), (2, 0, 1))  # three times [3, F]
+    chunks = [mesh.faces[i : i + _CHUNK] for i in range(0, len(mesh), _CHUNK)]
+    return np.concatenate([_slimness(mesh.vertices[chunk]) for chunk in chunks])
+
+
+def triangle_areas(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) -> Float[np.ndarray, " f"]:
+    """The area of each triangle."""
+    chunks = [faces[i : i + _CHUNK] for i in range(0, len(faces), _CHUNK)]
+    return np.concatenate([np.empty(0), *(_areas(vertices[chunk]) for chunk in chunks)])
+
+
+def compacted(faces: Int[np.ndarray, "f 3"], count: int) -> tuple[Int[np.ndarray, " used"], Int[np.ndarray, "f 3"]]:
+    """Which of `count` vertices some faces use, in order, and the faces with these numbered from 0."""
+    if faces.size < count // 16:  # few faces of a large file: to sort them is less than to look at every vertex
+        used, renumbered = np.unique(faces, return_inverse=True)
+        return used, renumbered.reshape(-1, 3)
+    is_used = np.zeros(count, bool)
+    is_used[faces] = True
+    return np.flatnonzero(is_used), (np.cumsum(is_used) - 1)[faces]
+
+
+def extent(positions: Float[np.ndarray, "n 3"]) -> tuple[Float[np.ndarray, 3], Float[np.ndarray, 3]]:
+    """The least and the greatest x, y and z; column by column, in a fifth of the time of a reduction along the rows."""
+    return np.array([column.min() for column in positions.T]), np.array([column.max() for column in positions.T])
+
+
+def distinct(positions: Float[np.ndarray, "n 3"]) -> tuple[Float[np.ndarray, "d 3"], Int[np.ndarray, " n"]]:
+    """Different positions sorted by x, y, z, and the number of each position among them; -0 is 0.
+
+    The same as `numpy.unique` along an axis, several times as fast.
+    """
+    positions = positions + 0.0  # turns -0.0 into 0.0
+    first, number = same_positions(positions)
+    order = np.lexsort(positions[first].T[::-1])
+    rank = np.empty(len(order), np.int64)
+    rank[order] = np.arange(len(order))
+    return positions[first[order]], rank[number]
+
+
+def same_positions(positions: Float[np.ndarray, "n 3"]) -> tuple[Int[np.ndarray, " d"], Int[np.ndarray, " n"]]:
+    """One index of each different position, in no useful order, and which of these each position equals; -0 is 0."""
+    bits = (np.ascontiguousarray(positions, np.float64) + 0.0).view(np.uint64)
+    bits ^= bits >> np.uint64(32)  # the lower bits of what was float32 are all zero
+    key = (bits[:, 0] * _MIXERS[0] + bits[:, 1]) * _MIXERS[1] + bits[:, 2]
+    order = np.argsort((key ^ key >> np.uint64(32)) * _MIXERS[2])  # a sort of one number each, not of three
+    ordered = positions[order]
+    x, y, z = (column[1:] != column[:-1] for column in ordered.T)
+    is_new = x | y | z
+    if np.count_nonzero(is_new) != np.count_nonzero(np.diff(key[order])):  # different positions with equal keys
+        order = np.lexsort(positions.T)
+        x, y, z = (column[1:] != column[:-1] for column in positions[order].T)
+        is_new = x | y | z
+    is_new = np.append(True, is_new)[: len(order)]
+    number = np.empty(len(order), np.int64)
+    number[order] = np.cumsum(is_new) - 1
+    return order[is_new], number
+
+
+def _areas(corners: Float[np.ndarray, "f 3 3"]) -> Float[np.ndarray, " f"]:
+    a, b, c = np.moveaxis(corners, (0, 1, 2), (2, 0, 1))
+    return _length(_cross(b - a, c - a)) / 2
+
+
+def _slimness(corners: Float[np.ndarray, "f 3 3"]) -> Float[np.ndarray, " f"]:
+    a, b, c = np.moveaxis(corners.astype(np.float64), (0, 1, 2), (2, 0, 1))  # three times [3, F]
     u, v, w = b - a, c - b, a - c
     longest_squared = np.maximum.reduce([(edge * edge).sum(axis=0) for edge in (u, v, w)])
-    # By components: np.cross takes four times as long, and every object of every scene comes here.
-    normal = np.stack([u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]])
-    twice_area = np.sqrt((normal * normal).sum(axis=0))
-    return twice_area / np.maximum(longest_squared, np.finfo(np.float64).tiny)
+    return _length(_cross(u, v)) / np.maximum(longest_squared, np.finfo(np.float64).tiny)
+
+
+def _cross(u: Float[np.ndarray, "3 f"], v: Float[np.ndarray, "3 f"]) -> Float[np.ndarray, "3 f"]:
+    """By components: np.cross takes four times as long, and every object of every scene comes here."""
+    return np.stack([u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]])
+
+
+def _length(vectors: Float[np.ndarray, "3 f"]) -> Float[np.ndarray, " f"]:
+    return np.sqrt((vectors * vectors).sum(axis=0))
 
 
 def welded(mesh: Mesh) -> Mesh:
     """Vertices at equal positions made one (an STL file repeats them for every face)."""
-    vertices, index = np.unique(mesh.vertices + 0.0, axis=0, return_inverse=True)  # + 0.0 turns -0.0 into 0.0
-    return Mesh(vertices, index.reshape(-1)[mesh.faces])
+    vertices, index = distinct(mesh.vertices)
+    return Mesh(vertices, index[mesh.faces])
 
 
 def _clustered(mesh: Mesh, cells: int) -> Mesh:

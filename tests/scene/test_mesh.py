@@ -13,7 +13,17 @@ from gltf_files import GltfBuilder
 
 from rfpp.errors import SceneError, UserError
 from rfpp.scene.io.mesh_files import load_mesh, save_mesh
-from rfpp.scene.mesh import Mesh, decimated, normalized, slimness, welded, without_degenerate_faces
+from rfpp.scene.mesh import (
+    Mesh,
+    compacted,
+    decimated,
+    distinct,
+    normalized,
+    same_positions,
+    slimness,
+    welded,
+    without_degenerate_faces,
+)
 
 
 def from_trimesh(shape: trimesh.Trimesh) -> Mesh:
@@ -180,5 +190,29 @@ def test_gltf_meshes_claim_no_more_than_they_hold(tmp_path: Path) -> None:
     builder.node(builder.primitive())
     del builder.document["accessors"][0]["bufferView"]  # zeros, says glTF
     builder.document["accessors"][0]["count"] = 10**9
-    with pytest.raises(SceneError, match=r"accessors\.0: 1,000,000,000 elements are too many"):
+    with pytest.raises(SceneError, match=r"accessors\.0: 1,000,000,000 elements are more than 9,000,000"):
         load_mesh(builder.write(tmp_path))
+
+
+@pytest.mark.parametrize("mixers", [None, 0])
+def test_equal_positions_are_found_also_where_their_keys_collide(mixers: int | None, monkeypatch) -> None:
+    if mixers is not None:
+        monkeypatch.setattr("rfpp.scene.mesh._MIXERS", np.full(3, mixers, np.uint64))  # every key is that of z, or none
+    rng = np.random.default_rng(0)
+    for dtype in (np.float32, np.float64):
+        positions = rng.integers(-2, 3, (400, 3)).astype(dtype)
+        positions[positions == 0] *= rng.choice([-1, 1], np.count_nonzero(positions == 0))
+        expected, index = np.unique(positions + 0.0, axis=0, return_inverse=True)
+        found, number = distinct(positions)
+        np.testing.assert_array_equal(found, expected)
+        np.testing.assert_array_equal(number, index.reshape(-1))
+        first, group = same_positions(positions)
+        np.testing.assert_array_equal(positions[first][group], positions)
+        assert len(first) == len(expected)
+
+
+@pytest.mark.parametrize("count", [6, 400])
+def test_compacted_numbers_what_faces_use(count: int) -> None:
+    used, faces = compacted(np.array([[5, 2, 4], [4, 2, 0]]), count)
+    assert used.tolist() == [0, 2, 4, 5]
+    np.testing.assert_array_equal(used[faces], [[5, 2, 4], [4, 2, 0]])

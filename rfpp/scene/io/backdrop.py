@@ -52,11 +52,13 @@ def stood(scene: ImportedScene, backdrop: Backdrop, path: Path) -> ImportedScene
 def _has_floor(parts: Sequence[Part]) -> bool:
     """Whether faces that look up, at the bottom, cover half of the area on which the scene stands."""
     low, high = bounds(parts)
-    corners = np.concatenate([part.corners for part in parts])
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    looks_up = normal[:, 2] > 0.9 * np.linalg.norm(normal, axis=1)
-    at_bottom = corners[..., 2].max(axis=1) <= low[2] + _LOWEST * (high[2] - low[2])
-    return bool(normal[looks_up & at_bottom, 2].sum() / 2 >= 0.5 * np.prod((high - low)[:2]))
+    highest, area = low[2] + _LOWEST * (high[2] - low[2]), 0.0
+    for part in parts:
+        a, b, c = (part.vertices[:, 2] <= highest)[part.faces].T
+        corners = part.vertices[part.faces[a & b & c]]
+        normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        area += normal[normal[:, 2] > 0.9 * np.linalg.norm(normal, axis=1), 2].sum() / 2
+    return bool(area >= 0.5 * np.prod((high - low)[:2]))
 
 
 def _panel(name: str, centre: np.ndarray, u: np.ndarray, v: np.ndarray) -> Part:

@@ -14,6 +14,7 @@ from jaxtyping import Float
 from rfpp.errors import SceneError
 from rfpp.scene.camera import camera_to_world
 from rfpp.scene.io.imported_scene import ImportedScene, Lamp, Part
+from rfpp.scene.mesh import extent
 from rfpp.scene.spec import Camera
 
 _HALF = 0.5
@@ -70,7 +71,8 @@ def bounds(parts: Iterable[Part]) -> tuple[Float[np.ndarray, 3], Float[np.ndarra
     seen = [part.vertices for part in parts if not part.is_light and len(part)]
     if not seen:
         raise SceneError("holds no surface that a camera can see (emissive ones are invisible): add what is to be lit")
-    return np.min([v.min(axis=0) for v in seen], axis=0), np.max([v.max(axis=0) for v in seen], axis=0)
+    lows, highs = zip(*map(extent, seen), strict=True)
+    return np.min(lows, axis=0), np.max(highs, axis=0)
 
 
 def _moved_lamp(lamp: Lamp, scale: float, centre: np.ndarray) -> Lamp:

@@ -36,6 +36,7 @@ def read_gltf(path: Path) -> ImportedScene:
     Warns of what is left out. Raises SceneError, without the file's name.
     """
     reader = _Reader(GltfFile(path))
+    reader.materials.require_few_pixels()
     parts, lamps, cameras = [], [], []
     with np.errstate(all="ignore"):  # what becomes infinite or NaN is refused
         for index, pose in reader.poses.items():

@@ -50,6 +50,8 @@ _ENVIRONMENTS = ("EXT_lights_image_based", "KHR_lights_environment", "EXT_lights
 
 _COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
+#: Of all arrays that are read: positions, normals, two sets of coordinates and colours, and indices.
+_MAX_ELEMENTS = 20 * MAX_TRIANGLES
 _JSON_CHUNK, _BINARY_CHUNK = 0x4E4F534A, 0x004E4942
 
 
@@ -71,7 +73,8 @@ class GltfFile:
         else:
             content, self._chunk = read_bytes(path, MAX_JSON_BYTES, "export it as .glb"), None
         self.document: Document = parse_document(parse_json(content, "glTF 2.0"))
-        self._buffers: dict[int, bytes] = {}
+        self._buffers: dict[int, bytes | memoryview] = {}
+        self._elements = 0
         self._require_known_extensions()
 
     def entry(self, entries: Sequence[Entry], index: int, name: str) -> Entry:
@@ -97,6 +100,11 @@ class GltfFile:
         if claimed > view.byte_length:
             raise SceneError(f"{where}: {accessor.count:,} elements are claimed, more than its bytes hold: "
                              "export it again")  # fmt: skip
+        _require_reasonable(accessor.count, where)
+        self._elements += accessor.count
+        if self._elements > _MAX_ELEMENTS:
+            raise SceneError(f"its meshes are made of more than {_MAX_ELEMENTS:,} elements, of which some may be read "
+                             "many times: decimate the meshes")  # fmt: skip
         elements = np.ndarray(
             (accessor.count, width), dtype, self.view(view), accessor.byte_offset, (stride, dtype.itemsize)
         )
@@ -132,12 +140,11 @@ class GltfFile:
         for index in range(len(self.document.buffers)):
             self._buffer(index)
         for index, accessor in enumerate(self.document.accessors):
-            if accessor.count > 3 * MAX_TRIANGLES:
-                raise SceneError(f"accessors.{index}: {accessor.count:,} elements are too many: decimate the meshes")
+            _require_reasonable(accessor.count, f"accessors.{index}")
             if accessor.sparse is None and accessor.buffer_view is not None and accessor.type in _WIDTHS:
                 self.array(index, accessor.type)
 
-    def _buffer(self, index: int) -> bytes:
+    def _buffer(self, index: int) -> bytes | memoryview:
         if index not in self._buffers:
             entry = self.entry(self.document.buffers, index, "buffers")
             if entry.uri is None and (self._chunk is None or index > 0):
@@ -163,7 +170,12 @@ class GltfFile:
                 raise SceneError(f"needs {name}, which cannot be read: {_REMEDIES.get(name, 'export it without')}")
 
 
-def _split(content: bytes) -> tuple[bytes, bytes | None]:
+def _require_reasonable(elements: int, where: str) -> None:
+    if elements > 3 * MAX_TRIANGLES:
+        raise SceneError(f"{where}: {elements:,} elements are more than {3 * MAX_TRIANGLES:,}: decimate the meshes")
+
+
+def _split(content: bytes) -> tuple[bytes, memoryview | None]:
     """The JSON and the binary chunk of a GLB file."""
     if content[:4] != b"glTF" or len(content) < 20:
         raise SceneError("is not a GLB file: export it again")
@@ -172,20 +184,20 @@ def _split(content: bytes) -> tuple[bytes, bytes | None]:
         raise SceneError(f"GLB version {version} cannot be read: export glTF 2.0")
     if length > len(content):
         raise SceneError(f"is truncated, {len(content):,} of {length:,} bytes are there: copy it again")
-    chunks: dict[int, bytes] = {}
+    chunks: dict[int, memoryview] = {}
     position = 12
     while position + 8 <= length:
         size, kind = struct.unpack_from("<II", content, position)
         position += 8
         if position + size > length:
             raise SceneError("a chunk ends beyond the file: copy or export it again")
-        chunks.setdefault(kind, content[position : position + size])
+        chunks.setdefault(kind, memoryview(content)[position : position + size])
         position += size
     if len(chunks.get(_JSON_CHUNK, b"")) > MAX_JSON_BYTES:
         raise SceneError(f"its JSON is larger than {MAX_JSON_BYTES:,} bytes: make it smaller")
     if _JSON_CHUNK not in chunks:
         raise SceneError("holds no JSON: export it again")
-    return chunks[_JSON_CHUNK], chunks.get(_BINARY_CHUNK)
+    return bytes(chunks[_JSON_CHUNK]), chunks.get(_BINARY_CHUNK)
 
 
 def _normalised(values: np.ndarray) -> np.ndarray:

@@ -17,7 +17,9 @@ but for a few lights. `MASK` leaves out triangles that are transparent in the me
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import contextlib
+import io
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -26,7 +28,7 @@ from jaxtyping import Bool, Float
 from rfpp.errors import SceneError
 from rfpp.scene.io.gltf_file import GltfFile
 from rfpp.scene.io.gltf_schema import Material, TextureInfo
-from rfpp.scene.io.image_texture import Textures
+from rfpp.scene.io.image_texture import Textures, require_few_pixels
 from rfpp.scene.io.imported_scene import GREY, name_of, plain_material
 from rfpp.scene.triangles import DIFFUSE, EMISSION, ROUGHNESS, SPECULAR
 
@@ -99,10 +101,27 @@ class GltfMaterials:
             rows[:, EMISSION] = np.where(glow.max(axis=1, keepdims=True) < _GLOWS * glow.max(), 0, glow)
         return rows, base[:, 3]
 
+    def require_few_pixels(self) -> None:
+        """Raises SceneError for too many in all pictures of its materials, before any is decoded."""
+        require_few_pixels(self._pictures())
+
+    def _pictures(self) -> Iterator[io.BytesIO]:
+        """Each picture of a material once; what cannot be read is refused where it is needed."""
+        seen = set()
+        for info in (info for material in self.file.document.materials for info in _textures(material)):
+            with contextlib.suppress(SceneError):
+                source = self._source(info.index)
+                if source is not None and source not in seen:
+                    seen.add(source)
+                    yield io.BytesIO(self._image(source))
+
+    def _source(self, texture: int) -> int | None:
+        """The image of a texture that can be read."""
+        entry = self.file.entry(self.file.document.textures, texture, "textures")
+        return entry.extensions.webp.source if entry.extensions.webp else entry.source
+
     def _means(self, info: TextureInfo, coordinates: Coordinates, colour: bool) -> Float[np.ndarray, "f 4"]:
-        document, transform = self.file.document, info.extensions.transform
-        texture = self.file.entry(document.textures, info.index, "textures")
-        source = texture.extensions.webp.source if texture.extensions.webp else texture.source
+        transform, source = info.extensions.transform, self._source(info.index)
         if source is None:
             raise SceneError(f"textures.{info.index} has no picture that can be read: export PNG or JPEG textures")
         try:
@@ -121,6 +140,14 @@ class GltfMaterials:
         if image.buffer_view is None:
             return self.file.bytes_of(image.uri or "data:")
         return bytes(self.file.view(self.file.entry(self.file.document.buffer_views, image.buffer_view, "bufferViews")))
+
+
+def _textures(material: Material) -> Iterator[TextureInfo]:
+    """Those that are read."""
+    pbr = material.pbr_metallic_roughness
+    for info in (pbr.base_color_texture, pbr.metallic_roughness_texture, material.emissive_texture):
+        if info is not None:
+            yield info
 
 
 def metallic_roughness(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -12,10 +11,9 @@ from jaxtyping import Float, Int
 from rfpp.errors import SceneError
 from rfpp.scene.io.gltf_file import GltfFile
 from rfpp.scene.io.gltf_schema import Primitive, Skin
+from rfpp.scene.io.imported_scene import is_smooth
 
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
-#: Corners whose stored normals lie farther from their face's than this (1 degree) belong to smooth surfaces.
-_FLAT_COSINE = math.cos(math.radians(1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,11 +57,7 @@ class Geometry:
         """By the stored normals; without any, glTF says flat."""
         if "NORMAL" not in self.primitive.attributes:
             return False
-        normals = self._attribute("NORMAL", "VEC3")[self.faces]
-        a, b, c = np.moveaxis(self.positions[self.faces], 1, 0)
-        of_faces = np.cross(b - a, c - a)
-        lengths = np.linalg.norm(normals, axis=-1) * np.linalg.norm(of_faces, axis=-1)[:, None]
-        return bool((np.abs((normals * of_faces[:, None]).sum(-1)) < _FLAT_COSINE * lengths).any())
+        return is_smooth(self.positions, self.faces, self._attribute("NORMAL", "VEC3"), self.faces)
 
     @property
     def colours(self) -> Float[np.ndarray, "f 4"] | None:

@@ -12,37 +12,50 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from rfpp.errors import SceneError
 from rfpp.scene.io.imported_scene import Part
+from rfpp.scene.mesh import same_positions
 
 #: The most that a training scene has.
 MAX_OBJECTS = 70
+#: Of a scan with all its crumbs; more are triangles that nobody has joined.
+_MAX_PIECES = 1_000_000
 
 
 def components(part: Part) -> Iterator[Part]:
-    """Its connected pieces, in the order of their first faces; equal positions count as one vertex."""
+    """Its connected pieces, in the order of their first faces; equal positions count as one vertex.
+
+    Raises:
+        SceneError: more pieces than are ever told apart.
+    """
     if not len(part):
         return
-    _, welded = np.unique(part.vertices + 0.0, axis=0, return_inverse=True)
-    corners = welded.reshape(-1)[part.faces]
+    corners = same_positions(part.vertices)[1][part.faces]
     edges = (np.concatenate([corners[:, 0], corners[:, 0]]), np.concatenate([corners[:, 1], corners[:, 2]]))
     graph = coo_array((np.ones(len(edges[0]), bool), edges), shape=(corners.max() + 1,) * 2)
     label = connected_components(graph, directed=False)[1][corners[:, 0]]
     _, first, piece, count = np.unique(label, return_index=True, return_inverse=True, return_counts=True)
+    if len(first) > _MAX_PIECES:
+        raise SceneError(
+            f"{len(first):,} loose pieces are more than {_MAX_PIECES:,}: join its triangles where it was made"
+        )
     if len(first) == 1:
         yield part
         return
-    by_piece = np.split(np.argsort(piece.reshape(-1), kind="stable"), np.cumsum(count)[:-1])
+    piece = piece.reshape(-1)
     if len(first) > MAX_OBJECTS:  # crumbs are put together first: each is looked at as an object once only
-        areas = np.bincount(piece.reshape(-1), weights=part.areas)
+        areas = np.bincount(piece, weights=part.areas)
         largest = np.argsort(-areas, kind="stable")[:MAX_OBJECTS]
         crumbs = np.setdiff1d(np.arange(len(first)), largest)
-        centres = _centres(part, piece.reshape(-1), len(first))
-        nearest = cKDTree(centres[largest]).query(centres[crumbs])[1]
-        for crumb, body in zip(crumbs, largest[nearest], strict=True):
-            by_piece[body] = np.concatenate([by_piece[body], by_piece[crumb]])
-        first, by_piece = first[largest], [by_piece[i] for i in largest]
+        centres = _centres(part, piece, len(first))
+        body = np.empty(len(first), np.int64)
+        body[largest] = np.arange(len(largest))
+        body[crumbs] = cKDTree(centres[largest]).query(centres[crumbs])[1]
+        first, piece = first[largest], body[piece]
+        count = np.bincount(piece)
+    by_piece = np.split(np.argsort(piece, kind="stable"), np.cumsum(count)[:-1])
     for index in np.argsort(first):
-        yield part.only(np.sort(by_piece[index]))
+        yield part.only(by_piece[index])
 
 
 def merged(parts: Sequence[Part], path: Path) -> list[Part]:
@@ -83,7 +96,9 @@ def _joined(parts: Sequence[Part]) -> Part:
 
 def _centres(part: Part, piece: np.ndarray, count: int) -> np.ndarray:
     """[count, 3] mean of the faces' centres of each piece."""
-    sums = np.stack([np.bincount(piece, weights=column, minlength=count) for column in part.corners.mean(axis=1).T])
+    a, b, c = part.faces.T
+    of_faces = ((column[a] + column[b] + column[c]) / 3 for column in part.vertices.T)
+    sums = np.stack([np.bincount(piece, weights=column, minlength=count) for column in of_faces])
     return (sums / np.bincount(piece, minlength=count)).T
 
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import warnings
 from collections import OrderedDict
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Iterable
 
 import numpy as np
 from jaxtyping import Float
@@ -101,6 +102,17 @@ class Textures:
         return self._kept[key, colour]
 
 
+def require_few_pixels(files: Iterable[io.BufferedIOBase]) -> None:
+    """Raises SceneError where image files, which are closed, have too many pixels together, by their headers alone."""
+    pixels = 0
+    for file in files:
+        with file, contextlib.suppress(OSError, Image.DecompressionBombError):  # no image: refused when it is read
+            image = _opened(file)
+            pixels += image.width * image.height
+        if pixels > _MAX_PIXELS_OF_A_FILE:
+            raise _too_many_pixels()
+
+
 def linear(srgb: np.ndarray) -> np.ndarray:
     """8-bit sRGB as linear float32 in [0, 1]."""
     return _LINEAR[srgb]
@@ -121,24 +133,37 @@ _CENTRES = _centres()
 def _pixels(content: bytes, colour: bool, left: int) -> tuple[Float[np.ndarray, "h w 4"], int]:
     """What is kept of an image file, and how many pixels it held."""
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # bounded below, before it is decoded
-            image = Image.open(io.BytesIO(content), formats=_FORMATS)
+        image = _opened(io.BytesIO(content))
         if image.width * image.height > _MAX_PIXELS:
             raise SceneError(f"an image of {image.width} x {image.height} pixels is too large: make it smaller")
         if image.width * image.height > left:
-            raise SceneError(f"its textures have more than {_MAX_PIXELS_OF_A_FILE:,} pixels: make them smaller")
-        values = np.asarray(image.convert("RGBA"))
+            raise _too_many_pixels()
+        image.load()
     except SceneError:
         raise
     except Image.DecompressionBombError:
         raise SceneError("the image is too large: make it smaller") from None
     except Exception:  # decoders raise whatever the file makes them stumble over
         raise SceneError("is not an image that can be read: save it as PNG, JPEG or WebP") from None
-    step = -(-max(values.shape[:2]) // _SIDE_KEPT)
-    rows = max(1, _STRIP // values.shape[1] // step) * step  # by strips, which fit into the processor's cache
-    strips = [_reduced(_decoded(values[i : i + rows], colour), step) for i in range(0, len(values), rows)]
-    return np.concatenate(strips), values.shape[0] * values.shape[1]
+    width, height = image.size
+    step = -(-max(width, height) // _SIDE_KEPT)
+    rows = max(1, _STRIP // width // step) * step  # by strips, which fit into the processor's cache
+    strips = []
+    for top in range(0, height, rows):
+        strip = image.crop((0, top, width, min(top + rows, height)))
+        strips.append(_reduced(_decoded(np.asarray(strip.convert("RGBA")), colour), step))
+    return np.concatenate(strips), width * height
+
+
+def _opened(file: io.BufferedIOBase) -> Image.Image:
+    """An image of which only the header is read."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # bounded before it is decoded
+        return Image.open(file, formats=_FORMATS)
+
+
+def _too_many_pixels() -> SceneError:
+    return SceneError(f"its textures have more than {_MAX_PIXELS_OF_A_FILE:,} pixels: make them smaller")
 
 
 def _decoded(values: np.ndarray, colour: bool) -> np.ndarray:

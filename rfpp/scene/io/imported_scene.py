@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -10,6 +11,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from rfpp.errors import SceneError, one_line
+from rfpp.scene.mesh import compacted, triangle_areas
 from rfpp.scene.spec import Camera
 from rfpp.scene.triangles import EMISSION
 
@@ -17,6 +19,9 @@ from rfpp.scene.triangles import EMISSION
 GREY, DIELECTRIC = 0.6, 0.04
 #: No coordinate, intensity or radiance is this large, and squares of smaller ones are still numbers.
 BEYOND = 1e30
+#: Surfaces whose stored normals lie farther from their face's than this (1 degree) are smooth.
+_FLAT_COSINE = math.cos(math.radians(1))
+_CHUNK = 1 << 16  # triangles at a time, which bounds the memory
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,8 +64,7 @@ class Part:
 
     @property
     def areas(self) -> Float[np.ndarray, " f"]:
-        a, b, c = np.moveaxis(self.corners, 1, 0)
-        return np.linalg.norm(np.cross(b - a, c - a), axis=-1) / 2
+        return triangle_areas(self.vertices, self.faces)
 
     @property
     def is_light(self) -> bool:
@@ -68,13 +72,8 @@ class Part:
 
     def only(self, faces: np.ndarray) -> Part:
         """The part of these faces (mask or indices), without vertices that none of them uses."""
-        used, renumbered = np.unique(self.faces[faces], return_inverse=True)
-        return replace(
-            self,
-            vertices=self.vertices[used],
-            faces=renumbered.reshape(-1, 3).astype(np.int64),
-            material=self.material[faces],
-        )
+        used, renumbered = compacted(self.faces[faces], len(self.vertices))
+        return replace(self, vertices=self.vertices[used], faces=renumbered, material=self.material[faces])
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,6 +118,23 @@ def plain_material(count: int, diffuse: Iterable[float] = (GREY,) * 3) -> Float[
     """Rows of a dull dielectric, for formats that know nothing of materials or little."""
     row = np.array([*np.multiply((*diffuse,), 1 - DIELECTRIC), *(DIELECTRIC,) * 3, 0.5, 0, 0, 0], np.float32)
     return np.tile(row, (count, 1))
+
+
+def is_smooth(
+    vertices: Float[np.ndarray, "v 3"],
+    faces: Int[np.ndarray, "f 3"],
+    normals: Float[np.ndarray, "n 3"],
+    shaded: Int[np.ndarray, "f 3"],
+) -> bool:
+    """Whether a stored normal, of which `shaded` has the number at each corner, differs from its face's by a degree."""
+    for i in range(0, len(faces), _CHUNK):
+        a, b, c = np.moveaxis(vertices[faces[i : i + _CHUNK]], 1, 0)
+        stored, of_faces = normals[shaded[i : i + _CHUNK]], np.cross(b - a, c - a)
+        lengths = np.linalg.norm(stored, axis=-1) * np.linalg.norm(of_faces, axis=-1)[:, None]
+        with np.errstate(over="ignore", invalid="ignore"):
+            if (np.abs((stored * of_faces[:, None]).sum(-1)) < _FLAT_COSINE * lengths).any():
+                return True
+    return False
 
 
 def name_of(text: str, otherwise: str) -> str:

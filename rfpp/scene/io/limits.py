@@ -6,26 +6,26 @@ allocated or opened.
 
 from __future__ import annotations
 
-import io
 import json
 import re
 import stat
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 from rfpp.errors import SceneError, one_line
 
 #: A mesh or an image file of more bytes is refused unread.
-MAX_BYTES = 2**31
+MAX_BYTES = 2**29
 #: The same of text, whose numbers are read line by line.
 MAX_TEXT_BYTES = 2**27
 #: A polygon of a hundred thousand corners.
 MAX_LINE_BYTES = 2**20
 #: A text that is parsed into Python objects, which take up to thirty times its size.
 MAX_JSON_BYTES = 2**25
-#: A hundred times what networks are trained for; a packed triangle takes 112 bytes, and several times that on the way.
-MAX_TRIANGLES = 10_000_000
+#: Forty times what networks are trained for, and what loads within ten seconds and 2 GB on two cores.
+MAX_TRIANGLES = 3_000_000
+#: Lines of a text that are read one by one, which takes microseconds each.
+MAX_SINGLE_LINES = 1_000_000
 #: Entries of any list that become Python objects, and parts of a scene.
 MAX_ENTRIES, MAX_PARTS = 100_000, 20_000
 
@@ -45,16 +45,6 @@ def read_bytes(path: Path, limit: int = MAX_BYTES, smaller: str = "make it small
     if not content:
         raise SceneError("is empty: export it again")
     return content
-
-
-def lines_of(content: bytes, start: int = 0) -> Iterator[bytes]:
-    """The lines of a text from a byte on, with their ends. Raises SceneError for one of absurd length."""
-    stream = io.BytesIO(content)
-    stream.seek(start)
-    for line in stream:
-        if len(line) > MAX_LINE_BYTES:
-            raise SceneError(f"a line has {len(line):,} bytes: export it again")
-        yield line
 
 
 def parse_json(content: bytes, expected: str) -> dict[str, Any]:

@@ -28,7 +28,7 @@ from rfpp.scene.io.obj import read_obj
 from rfpp.scene.io.ply import read_ply
 from rfpp.scene.io.renderformer_json import load_json
 from rfpp.scene.io.stl import read_stl
-from rfpp.scene.mesh import Mesh, has_area
+from rfpp.scene.mesh import Mesh, extent, has_area
 from rfpp.scene.packed import PackedScene
 from rfpp.scene.spec import Material, Scene, SceneObject, Transform
 from rfpp.scene.triangles import DIFFUSE, EMISSION, ROUGHNESS, SPECULAR, world_meshes
@@ -178,7 +178,7 @@ def _turned(scene: ImportedScene) -> ImportedScene:
 def _objects(parts: list[Part], path: Path) -> Iterator[SceneObject]:
     """Meshes about their own centres, so that an object turns about itself when its transform is edited."""
     for part in parts:
-        low, high = part.vertices.min(axis=0), part.vertices.max(axis=0)
+        low, high = extent(part.vertices)
         centre = (low + high) / 2
         mesh = Mesh(part.vertices - centre, part.faces)
         solid = has_area(Mesh(mesh.vertices + centre, part.faces))  # where it stands: numbers are coarser there

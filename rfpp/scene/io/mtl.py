@@ -63,6 +63,11 @@ class ObjMaterial:
             return f"material '{self.name}' (d, Tr, map_d or illum)"
         return ""
 
+    @property
+    def pictures(self) -> tuple[Path, ...]:
+        """The files of the textures that are read."""
+        return tuple(path for key, path in self.maps.items() if key != "map_d")
+
     def rows(self, uv: Float[np.ndarray, "f 3 2"] | None, faces: int, textures: Textures) -> Float[np.ndarray, "f 10"]:
         """Raises SceneError naming the material, if a texture cannot be read."""
         try:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from array import array
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 
 from rfpp.errors import SceneError, one_line
-from rfpp.scene.io.limits import MAX_TEXT_BYTES, MAX_TRIANGLES, lines_of
+from rfpp.scene.io.limits import MAX_SINGLE_LINES, MAX_TEXT_BYTES, MAX_TRIANGLES
+from rfpp.scene.io.number_lines import LINES, characters, line_bounds, numbers
 
 _TYPES = {"char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2", "ushort": "u2",
           "uint16": "u2", "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4", "float": "f4", "float32": "f4",
@@ -109,6 +111,11 @@ def _rows_with_lists(content: bytes, element: Element, position: int) -> tuple[d
     """The columns and where they end."""
     if element.count and (found := _equal_rows(content, element, position)):
         return found
+    if element.count * len(element.properties) > MAX_TRIANGLES:
+        raise SceneError(
+            f"{element.count:,} rows of '{one_line(element.name, 40)}' with lists of different lengths are "
+            f"more than {MAX_TRIANGLES // len(element.properties):,}: triangulate it where it was made"
+        )
     # Where a list begins is known only after the one before it: first all places, then all values at once.
     begins, lengths = [array("q") for _ in element.properties], [array("q") for _ in element.properties]
     order = "big" if element.order == ">" else "little"
@@ -166,35 +173,91 @@ def _gathered(content: bytes, dtype: np.dtype, begins: np.ndarray, lengths: np.n
 def _from_text(content: bytes, header: Header) -> dict[str, dict[str, Column]]:
     if len(content) > MAX_TEXT_BYTES:
         raise SceneError(f"holds {len(content):,} bytes of text: save it as binary PLY")
-    lines = lines_of(content, header.size)
+    text = characters(content)
+    bounds = line_bounds(text, header.size)
     columns: dict[str, dict[str, Column]] = {}
+    first = single = 0
     for element in header.elements:
-        values, lengths = [array("d") for _ in element.properties], [array("q") for _ in element.properties]
-        for _ in range(element.count):
-            tokens = iter(next(lines, b"").split())
-            try:
-                for prop, value, length in zip(element.properties, values, lengths, strict=True):
-                    count = 1 if prop.length is None else int(next(tokens))
-                    length.append(count)
-                    value.extend(float(next(tokens)) for _ in range(count))
-            except (StopIteration, RuntimeError, ValueError, OverflowError):
-                raise SceneError(f"a row of '{one_line(element.name, 40)}' is damaged: export it again") from None
-        columns[element.name] = {
-            p.name: _typed(v, p) if p.length is None else (np.array(n, np.int64), _typed(v, p))
-            for p, v, n in zip(element.properties, values, lengths, strict=True)
-        }
+        if first + element.count >= len(bounds):
+            raise _damaged(element)
+        chunks = []
+        for begin in range(first, first + element.count, LINES):
+            end = min(begin + LINES, first + element.count)
+            rows = _rows(element, text, bounds[begin : end + 1])
+            if rows is None:
+                single += end - begin
+                if single > MAX_SINGLE_LINES:
+                    raise SceneError(f"more than {MAX_SINGLE_LINES:,} rows of its text are not as its header says: "
+                                     "save it as binary PLY")  # fmt: skip
+                rows = _rows_one_by_one(element, content, bounds[begin : end + 1].tolist())
+            chunks.append(rows)
+        first += element.count
+        columns[element.name] = {}
+        for number, prop in enumerate(element.properties):
+            lengths, values = (np.concatenate([np.empty(0), *(c[number][k] for c in chunks)]) for k in range(2))
+            typed = _typed(values, prop)
+            columns[element.name][prop.name] = typed if prop.length is None else (lengths.astype(np.int64), typed)
     return columns
 
 
-def _typed(values: array, prop: _Property) -> np.ndarray:
+#: For each property of an element, the length of each row's list (of one number: 1), and all values.
+_Rows = list[tuple[np.ndarray, np.ndarray]]
+
+
+def _rows(element: Element, text: np.ndarray, bounds: np.ndarray) -> _Rows | None:
+    """Lines of an element that has one list at most; None: take them one by one."""
+    lists = [place for place, prop in enumerate(element.properties) if prop.length is not None]
+    found = numbers(text[bounds[0] : bounds[-1]], bounds - bounds[0])
+    if found is None or len(lists) > 1 or not len(bounds) > 1:
+        return None
+    values, counts = found
+    starts = np.cumsum(counts) - counts
+    fixed = len(element.properties)
+    lengths = np.zeros(len(counts))
+    if lists:
+        if counts.min() < lists[0] + 1:
+            return None
+        lengths = values[starts + lists[0]]
+    if (counts != fixed + lengths).any() or (lengths < 0).any() or (lengths % 1).any():
+        return None
+    rows, shift = [], np.zeros(len(counts), np.int64)
+    for place, prop in enumerate(element.properties):
+        if prop.length is None:
+            rows.append((np.ones(len(counts)), values[starts + shift + place]))
+            continue
+        many = lengths.astype(np.int64)
+        within = np.arange(many.sum()) - np.repeat(np.cumsum(many) - many, many)
+        rows.append((many, values[np.repeat(starts + place + 1, many) + within]))
+        shift = many
+    return rows
+
+
+def _rows_one_by_one(element: Element, content: bytes, bounds: list[int]) -> _Rows:
+    values, lengths = [array("d") for _ in element.properties], [array("q") for _ in element.properties]
+    for begin, end in pairwise(bounds):
+        tokens = iter(content[begin:end].split())
+        try:
+            for prop, value, length in zip(element.properties, values, lengths, strict=True):
+                count = 1 if prop.length is None else int(next(tokens))
+                length.append(count)
+                value.extend(float(next(tokens)) for _ in range(count))
+        except (StopIteration, RuntimeError, ValueError, OverflowError):
+            raise _damaged(element) from None
+    return [(np.array(n), np.array(v)) for n, v in zip(lengths, values, strict=True)]
+
+
+def _damaged(element: Element) -> SceneError:
+    return SceneError(f"a row of '{one_line(element.name, 40)}' is damaged: export it again")
+
+
+def _typed(values: np.ndarray, prop: _Property) -> np.ndarray:
     """Integers as such, so that a colour of text and of bytes is the same; those out of range are damage."""
-    numbers = np.array(values)
     if prop.dtype.kind == "f":
-        return numbers
+        return values
     limits = np.iinfo(prop.dtype)
-    if not ((numbers >= limits.min) & (numbers <= limits.max)).all():
+    if not ((values >= limits.min) & (values <= limits.max)).all():
         raise SceneError(f"'{one_line(prop.name, 40)}' is out of its range: export it again")
-    return numbers.astype(prop.dtype)
+    return values.astype(prop.dtype)
 
 
 def _dtype(order: str | None, kind: str) -> np.dtype:

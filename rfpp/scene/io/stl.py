@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 from array import array
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +13,10 @@ from jaxtyping import Float
 from rfpp.errors import SceneError, one_line
 from rfpp.scene.io.grouping import components
 from rfpp.scene.io.imported_scene import ImportedScene, Part, plain_material
-from rfpp.scene.io.limits import MAX_TEXT_BYTES, lines_of, read_bytes, require_bounded
+from rfpp.scene.io.limits import MAX_SINGLE_LINES, MAX_TEXT_BYTES, read_bytes, require_bounded
+from rfpp.scene.io.number_lines import LINES, SPACE, characters, line_bounds, lines_where, numbers, token_starts
 
-_HEADER = 84
+_HEADER, _VERTEX = 84, b"vertex"
 _FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 
 
@@ -59,17 +61,51 @@ def _from_text(content: bytes) -> Float[np.ndarray, "f 3 3"]:
         raise SceneError("is no STL file: export it again")
     if len(content) > MAX_TEXT_BYTES:
         raise SceneError(f"holds {len(content):,} bytes of text: save it as binary STL")
-    numbers = array("d")
-    for line_number, line in enumerate(lines_of(content), start=1):
-        tokens = line.split()
-        if tokens[:1] == [b"vertex"]:
+    text = characters(content)
+    bounds = line_bounds(text)
+    chunks, single = [], 0
+    for first in range(0, len(bounds) - 1, LINES):
+        of_chunk = bounds[first : first + LINES + 1]
+        vertices = _vertices(text, of_chunk)
+        if vertices is None:
+            single += len(of_chunk) - 1
+            if single > MAX_SINGLE_LINES:
+                raise SceneError(f"more than {MAX_SINGLE_LINES:,} of its lines are written unusually: "
+                                 "save it as binary STL")  # fmt: skip
+            vertices = _vertices_one_by_one(content, of_chunk.tolist(), first + 1)
+        chunks.append(vertices)
+    vertices = np.concatenate(chunks)
+    if len(vertices) % 3:
+        raise SceneError("ends within a triangle: copy or export it again")
+    require_bounded(len(vertices) // 3)
+    return vertices.reshape(-1, 3, 3)
+
+
+def _vertices(text: np.ndarray, bounds: np.ndarray) -> Float[np.ndarray, "v 3"] | None:
+    """Of some lines of a text; None: take them one by one."""
+    text, bounds = text[bounds[0] : bounds[-1]], bounds - bounds[0]
+    begins = np.append(token_starts(text), len(text))
+    first = begins[np.searchsorted(begins, bounds[:-1])]  # of a later line, if this one is empty
+    padded = np.append(text, np.full(len(_VERTEX) + 1, ord("\n"), np.uint8))
+    named = (padded[first[:, None] + np.arange(len(_VERTEX))] == np.frombuffer(_VERTEX, np.uint8)).all(axis=1)
+    named &= SPACE[padded[first + len(_VERTEX)]] & (first < bounds[1:])
+    picked, bounds_of = lines_where(text, bounds, named)
+    keyword = bounds_of[:-1] + (first - bounds[:-1])[named]
+    picked[keyword[:, None] + np.arange(len(_VERTEX))] = ord(" ")
+    found = numbers(picked, bounds_of)
+    return found[0].reshape(-1, 3) if found is not None and (found[1] == 3).all() else None
+
+
+def _vertices_one_by_one(content: bytes, bounds: list[int], number: int) -> Float[np.ndarray, "v 3"]:
+    """`number` is that of the first line. Raises SceneError with the line's number."""
+    values = array("d")
+    for line_number, (begin, end) in enumerate(pairwise(bounds), start=number):
+        tokens = content[begin:end].split()
+        if tokens[:1] == [_VERTEX]:
             try:
                 x, y, z = map(float, tokens[1:])
             except ValueError:
-                text = one_line(line.decode("ascii", "replace").strip(), 40)
+                text = one_line(content[begin:end].decode("ascii", "replace").strip(), 40)
                 raise SceneError(f"line {line_number}: '{text}' is no vertex: export it again") from None
-            numbers.extend((x, y, z))
-    if len(numbers) % 9:
-        raise SceneError("ends within a triangle: copy or export it again")
-    require_bounded(len(numbers) // 9)
-    return np.array(numbers).reshape(-1, 3, 3)
+            values.extend((x, y, z))
+    return np.array(values).reshape(-1, 3)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from rfpp.errors import SceneError
 from rfpp.scene.io.grouping import MAX_OBJECTS, components, merged
 from rfpp.scene.io.imported_scene import Part, plain_material
 from rfpp.scene.triangles import EMISSION
@@ -57,6 +58,13 @@ def test_parts_beyond_the_most_are_joined_and_lights_never_to_surfaces() -> None
     assert sum(map(len, kept)) == sum(map(len, parts))
     assert [part.name for part in kept if part.is_light] == ["lamp"]
     assert max(kept, key=len).name == "b10"  # the nearest to all ten
+
+
+def test_too_many_loose_pieces_are_refused_by_their_number(monkeypatch) -> None:
+    monkeypatch.setattr("rfpp.scene.io.grouping._MAX_PIECES", 2)
+    soup = together([ball((x, 0, 0)) for x in range(3)], unwelded=True)
+    with pytest.raises(SceneError, match="3 loose pieces are more than 2: join its triangles"):
+        list(components(soup))
 
 
 def test_names_become_unique() -> None:

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from rfpp.errors import SceneError
 from rfpp.scene.io.obj import read_obj
-from rfpp.scene.io.obj_runs import Run, runs
+from rfpp.scene.io.obj_lines import Block, blocks
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*MTL file")
 
@@ -36,8 +36,7 @@ def _read(text: str, folder: Path) -> tuple[np.ndarray, bool] | str:
 
 def _one_by_one(text: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[np.ndarray, bool] | str:
     with monkeypatch.context() as patch:
-        patch.setattr(Run, "vectors", lambda run, width: None)
-        patch.setattr(Run, "polygons", lambda run, counts: None)
+        patch.setattr(Block, "polygons", lambda block, counts: None)
         return _read(text, folder)
 
 
@@ -54,9 +53,10 @@ def _require_equal(text: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> 
 def test_all_notations_are_read_alike(notation: str, tmp_path: Path, monkeypatch) -> None:
     text = _text(notation)
     _require_equal(text, tmp_path, monkeypatch)
-    taken = [run for run in runs(text.encode()) if run.key == b"f"]
-    assert len(taken) == 1
-    assert taken[0].polygons([42, 42, 42]).shape == (40, 3, 3)  # not left to the reader of single lines
+    (block,) = blocks(text.encode())
+    sizes, corners = block.polygons([0, 0, 0])  # not left to the reader of single lines
+    assert sizes.tolist() == [3] * 40
+    assert corners.shape == (120, 3)
 
 
 @pytest.mark.parametrize(
@@ -96,14 +96,14 @@ def test_what_is_unusual_is_read_or_refused_as_line_by_line(old: str, new: str, 
 @given(
     st.lists(st.sampled_from(["v 1 2 3", "f 1 2 3", "v 1", "vn 1 1 1", "", " ", "o a", "vt", "#", "f"]), max_size=30)
 )
-def test_runs_are_all_lines_in_order(lines: list[str]) -> None:
+def test_blocks_and_their_pieces_are_all_lines_in_order(lines: list[str]) -> None:
     text = "\n".join([*lines, "f 1 1 1"]).encode()
-    found = list(runs(text))
-    assert b"".join(run.text for run in found) == text
-    assert [run.first for run in found] == list(np.cumsum([1, *(run.lines for run in found)])[:-1])
+    pieces = [piece for block in blocks(text) for piece in block.pieces(4)]
+    assert b"".join(piece.line(number) for piece in pieces for number in range(len(piece))) == text
+    assert [piece.first for piece in pieces] == list(np.cumsum([1, *map(len, pieces)])[:-1])
 
 
 def test_a_file_of_many_faces_is_read_in_pieces(tmp_path: Path, monkeypatch) -> None:
-    monkeypatch.setattr("rfpp.scene.io.obj_runs._LINES", 7)
+    monkeypatch.setattr("rfpp.scene.io.obj_lines.LINES", 7)
     _require_equal(_text("{0}/{0}/{0}"), tmp_path, monkeypatch)
     _require_equal(_text("-{0}"), tmp_path, monkeypatch)
