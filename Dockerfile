@@ -2,8 +2,8 @@
 # docker run --rm -v "$PWD:/work" rfpp render scene=chair.glb   # a file of yours
 # docker run --rm --gpus all --ipc=host -v "$PWD:/work" rfpp train +experiment=quickstart
 # For a CPU alone, which is smaller: --build-arg PIP_EXTRA_INDEX_URL=https://download.pytorch.org/whl/cpu
-# Checked without a Docker engine: each pip and rfpp command in a fresh environment, names of the packages, .dockerignore. Not
-# checked: building and starting the image, --gpus.
+# Checked without a Docker engine: the packages' names, that pip resolves what it asks for, and that the wheel renders in a fresh
+# environment. Not checked: building and starting the image, --gpus.
 # Another base, of Debian or Ubuntu with Python 3.11 (not tried yet): --build-arg BASE=nvidia/cuda:12.8.1-runtime-ubuntu22.04
 ARG BASE=python:3.11-slim-bookworm
 FROM ${BASE}
