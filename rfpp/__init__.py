@@ -4,6 +4,7 @@ from rfpp import Renderer, load_scene
 images = Renderer.load("best.ckpt").render(load_scene("data/scenes/cornell_box.json"))
 """
 
+import os
 from importlib import import_module
 from typing import TYPE_CHECKING
 
@@ -12,6 +13,11 @@ if TYPE_CHECKING:
     from rfpp.scene.io.loading import load_scene
     from rfpp.scene.io.saving import save_scene
     from rfpp.scene.spec import Scene
+
+# Threads of GNU OpenMP, PyTorch's on Linux, wait for each other by spinning, for milliseconds. Beside any other busy program
+# that takes ten times as long as the work (data/results/LOG.md). The library reads this once, when PyTorch is loaded.
+if "OMP_WAIT_POLICY" not in os.environ:
+    os.environ.setdefault("GOMP_SPINCOUNT", "3000")
 
 __all__ = ["Renderer", "Scene", "load_scene", "save_scene"]
 

@@ -68,7 +68,7 @@ def measure(
     rounds: int,
     cycles: CyclesSettings,
     converged: CyclesSettings,
-    film: FilmSettings,
+    film: FilmSettings | None,
     kept: Path | str,
     progress: Callable[[int, int], None],
 ) -> Iterator[Row]:
@@ -83,6 +83,7 @@ def measure(
         rounds: how often all are timed.
         cycles: its settings but for the samples.
         converged: those of the references.
+        film: None leaves films out.
         kept: folder of references, which are rendered once.
         progress: called with (turns taken, turns in all).
     """
@@ -96,14 +97,14 @@ def measure(
         for number, (name, method) in enumerate(methods.items()):
             taken[name].append(method.pictures(scenes, resolution))
             progress(turn * len(methods) + number + 1, turns)
-    arcs = [orbit(scene, np.linspace(0, _ARC, film.frames)) for scene in scenes]
+    arcs = [orbit(scene, np.linspace(0, _ARC, film.frames)) for scene in scenes] if film else []
     true_films = [
         _reference(arc, film.resolution, replace(converged, samples=film.samples), Path(kept)) for arc in arcs
     ]
     for number, (name, method) in enumerate(methods.items()):
-        films = method.films(arcs, film.resolution)
-        for place, (exhibit, truth, true_film) in enumerate(zip(exhibits, truths, true_films, strict=True)):
-            of_scene, (frames, seconds) = [turn[place] for turn in taken[name]], films[place]
+        films = method.films(arcs, film.resolution) if film else []
+        for place, (exhibit, truth) in enumerate(zip(exhibits, truths, strict=True)):
+            of_scene = [turn[place] for turn in taken[name]]
             first, view, edit = (median(times) for times in zip(*(one.seconds for one in of_scene), strict=True))
             yield {
                 "scene": exhibit.title,
@@ -114,10 +115,14 @@ def measure(
                 "view_s": view,
                 "edit_s": edit,
                 **errors(of_scene[0].first, truth),
-                "frame_s": seconds / film.frames,
-                "flicker": flicker(frames, true_film),
+                **(_of_film(*films[place], true_films[place]) if film else {}),
             }
         progress(rounds * len(methods) + number + 1, turns)
+
+
+def _of_film(frames: Float[np.ndarray, "v h w 3"], seconds: float, truth: Float[np.ndarray, "v h w 3"]) -> Row:
+    """Seconds of a frame, and flicker."""
+    return {"frame_s": seconds / len(frames), "flicker": flicker(frames, truth)}
 
 
 def errors(image: Image, truth: Image) -> Row:

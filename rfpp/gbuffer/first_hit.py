@@ -180,10 +180,13 @@ def stack_channels(
         UserError: a name that is no channel.
         ValueError: a channel of direct light, of reflection or of cells from a G-buffer that has none.
     """
-    height, width = gbuffer.depth.shape
-    channels = [channel(gbuffer, material, fov, name) for name in names]
-    stacked = np.concatenate([np.zeros((height, width, 0), np.float32), *channels], axis=-1)
-    return np.ascontiguousarray(stacked.transpose(2, 0, 1))
+    channels = {name: channel(gbuffer, material, fov, name) for name in names}
+    stacked = np.empty((sum(of.shape[-1] for of in channels.values()), *gbuffer.depth.shape), np.float32)
+    row = 0
+    for of in channels.values():
+        stacked[row : row + of.shape[-1]] = of.transpose(2, 0, 1)
+        row += of.shape[-1]
+    return stacked
 
 
 def channel(

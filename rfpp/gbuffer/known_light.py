@@ -22,7 +22,7 @@ from dataclasses import replace
 from typing import SupportsFloat
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Float32
 
 from rfpp.gbuffer.first_hit import DirectLight, GBuffer, Reflection
 from rfpp.gbuffer.light_sampler import LightSampler
@@ -58,7 +58,7 @@ def with_known_light(
     surface = Surface.seen(gbuffer, sampler.triangles, c2w, fov)
     height, width = (side // points for side in gbuffer.depth.shape)
     of_image = surface.points(gbuffer.hit, points)
-    light = np.zeros((4, len(surface), 3))
+    light = np.zeros((4, len(surface), 3), np.float32)
     diffuse, glossy, reflected, albedo = light
     keys = np.random.default_rng(seed).integers(1 << 62, size=2).tolist()
     for number in np.flatnonzero(sampler.scene.shining).tolist():
@@ -77,8 +77,8 @@ def _add_light(
     size: tuple[int, int],
     samples: int,
     key: int,
-    diffuse: Float[np.ndarray, "r 3"],
-    glossy: Float[np.ndarray, "r 3"],
+    diffuse: Float32[np.ndarray, "r 3"],
+    glossy: Float32[np.ndarray, "r 3"],
 ) -> None:
     """Adds what one light brings."""
     rows, scene = len(points.pixel), sampler.scene
