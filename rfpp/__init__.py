@@ -14,8 +14,9 @@ if TYPE_CHECKING:
     from rfpp.scene.io.saving import save_scene
     from rfpp.scene.spec import Scene
 
-# Threads of GNU OpenMP, PyTorch's on Linux, wait for each other by spinning, for milliseconds. Beside any other busy program
-# that takes ten times as long as the work (data/results/LOG.md). The library reads this once, when PyTorch is loaded.
+# Threads of GNU OpenMP, which PyTorch uses on Linux, wait for each other by spinning, for milliseconds. Beside another
+# busy program that takes ten times as long as the work (data/results/LOG.md). The library reads this when PyTorch is
+# loaded.
 if "OMP_WAIT_POLICY" not in os.environ:
     os.environ.setdefault("GOMP_SPINCOUNT", "3000")
 
