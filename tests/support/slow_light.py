@@ -1,0 +1,48 @@
+"""Light as NumPy would gather it, with more samples than anyone wants: the twin of the compiled loops."""
+
+import numpy as np
+
+from rfpp.gbuffer import ggx
+from rfpp.gbuffer.cell_grid import CellGrid
+from rfpp.gbuffer.cell_loops import DIRECTIONS, FLAT, MOST_PIECES, SIDES
+from rfpp.gbuffer.lit_scene import CLEARANCE
+from rfpp.gbuffer.raycast import RayCaster
+from rfpp.gbuffer.surface import Surface
+from rfpp.scene.triangles import EMISSION, SceneTriangles
+
+
+def direct_light(scene: SceneTriangles, surface: Surface, samples: int, rng: np.random.Generator) -> np.ndarray:
+    """[2, R, 3] irradiance / π and glossy light, by evenly spread points on every emitting triangle."""
+    caster, frame = RayCaster(scene.positions), surface.frame()
+    found = np.zeros((2, len(surface), 3))
+    view = np.einsum("rkx,rx->rk", frame, surface.view)
+    scale = ggx.multiple_scattering(view[:, 2], surface.alpha, surface.specular)
+    for emitter in np.flatnonzero(scene.is_emissive):
+        a, b, c = scene.positions[emitter].astype(np.float64)
+        cross = np.cross(b - a, c - a)
+        for _ in range(samples):
+            root, share = np.sqrt(rng.random((len(surface), 1))), rng.random((len(surface), 1))
+            way = (1 - root) * a + root * (1 - share) * b + root * share * c - surface.point
+            distance = np.linalg.norm(way, axis=-1)
+            way /= distance[:, None]
+            light = np.einsum("rkx,rx->rk", frame, way)
+            clear = ~caster.occluded(surface.point, way, distance - CLEARANCE) & (light[:, 2] > 0)
+            solid = np.abs(way @ cross) / 2 / distance**2 * clear / samples
+            radiance = scene.material[emitter, EMISSION].astype(np.float64)
+            found[0] += (solid * light[:, 2] / np.pi)[:, None] * radiance
+            found[1] += (solid * ggx.lobe(view, light, surface.alpha))[:, None] * radiance * scale
+    return found
+
+
+def cell_keys(grid: CellGrid, triangle: np.ndarray, point: np.ndarray, back: np.ndarray) -> np.ndarray:
+    """As `CellGrid.keys`."""
+    owner = grid.triangles.object_index[triangle].astype(np.int64)
+    pieces, most, half = grid.pieces[owner], 2 * MOST_PIECES, grid.half[owner]
+    local = np.einsum("rij,rj->ri", grid.axes[owner], point - grid.centroid[owner])
+    flat = half < FLAT * half.max(-1, keepdims=True)
+    place = np.where(flat, 0, np.floor(local / np.maximum(half, 1e-9) * pieces)).astype(np.int64) + pieces
+    place = np.clip(place, 0, 2 * pieces - 1)
+    octant = (place >= pieces) @ np.array([1, 2, 4])
+    box = (place[:, 0] * most + place[:, 1]) * most + place[:, 2]
+    key = (owner * 8 + octant) * most**3 + box
+    return (key * DIRECTIONS + grid.table(key[:0], key[:0]).direction[triangle]) * SIDES + back
