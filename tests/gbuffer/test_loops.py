@@ -19,7 +19,8 @@ POSE, FOV, SIDE = look_at((0.3, -1.5, 0.9), (0, 0, 0.1)), 40.0, 16
 @pytest.mark.parametrize("triangles_of_lamp", [1, 80])
 def test_direct_light_is_that_of_the_twin(triangles_of_lamp):
     """Of few triangles by Lambert's formula, of many by samples alone."""
-    lamp = (square(0.4) + np.array([0.3, -0.4, 1.2]))[:1] if triangles_of_lamp == 1 else sphere(0.2, (0.3, -0.4, 1.2), 1)
+    place = np.array([0.3, -0.4, 1.2])
+    lamp = (square(0.4) + place)[:1] if triangles_of_lamp == 1 else sphere(0.2, place, 1)
     assert len(lamp) == triangles_of_lamp
     things = (square(), material(0.4, specular=0.5, roughness=0.5)), (sphere(0.2, (0, 0, 0.3)), material(0.6))
     scene = pack(*things, (lamp, material(emission=8.0)))
