@@ -8,7 +8,7 @@
 VENV ?= .venv
 RUN := $(VENV)/bin/python
 PYTEST := $(RUN) -m pytest -n 2 --dist loadgroup --durations=50 --durations-min=3
-EXPERIMENT := +experiment=quickstart
+EXPERIMENT := experiment=quickstart
 # One folder, so that the same command goes on after an interruption.
 TRAINED := data/runs/quickstart/by_make
 

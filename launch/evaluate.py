@@ -1,7 +1,7 @@
 """Measure trained networks on stored scenes, beside the trivial baselines.
 
-python launch/evaluate.py +experiment=quickstart checkpoint=data/runs/quickstart/latest/checkpoints/best.ckpt
-python launch/evaluate.py +experiment=quickstart checkpoint=[a/checkpoints/best.ckpt,b/checkpoints/best.ckpt]
+python launch/evaluate.py experiment=quickstart checkpoint=data/runs/quickstart/latest/checkpoints/best.ckpt
+python launch/evaluate.py experiment=quickstart checkpoint=[a/checkpoints/best.ckpt,b/checkpoints/best.ckpt]
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Make a data set: random scenes → Blender Cycles and G-buffers → WebDataset shards.
 
-    python launch/generate.py +experiment=quickstart
-    python launch/generate.py +experiment=large_scale preview=16
-    python launch/generate.py +experiment=quickstart action=show sample=train-000012
+    python launch/generate.py experiment=quickstart
+    python launch/generate.py experiment=large_scale preview=16
+    python launch/generate.py experiment=quickstart action=show sample=train-000012
 
 Run the same command again after an interruption: nothing that was rendered is lost. Other actions: `merge` joins slices
 that were made apart, `status` says what is missing, `verify` hashes and decodes everything, `prepare` only reads the

@@ -1,6 +1,6 @@
 """Look into a trained transport operator: does it converge, and does light build up bounce by bounce?
 
-python launch/inspect_transport.py +experiment=quickstart checkpoint=data/runs/quickstart/latest/checkpoints/best.ckpt
+python launch/inspect_transport.py experiment=quickstart checkpoint=data/runs/quickstart/latest/checkpoints/best.ckpt
 """
 
 from __future__ import annotations

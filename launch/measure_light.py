@@ -1,7 +1,7 @@
 """How well do networks move light? What they add to known light, on scenes with clean references.
 
-python launch/generate.py +experiment=light_test
-python launch/measure_light.py +experiment=light_test checkpoint=[a/checkpoints/best.ckpt,b/checkpoints/best.ckpt]
+python launch/generate.py experiment=light_test
+python launch/measure_light.py experiment=light_test checkpoint=[a/checkpoints/best.ckpt,b/checkpoints/best.ckpt]
 """
 
 from __future__ import annotations

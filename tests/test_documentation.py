@@ -35,7 +35,7 @@ def test_commands_name_what_there_is(page):
     text = (ROOT / page).read_text(encoding="utf-8")
     for script in re.findall(r"(launch/[\w/]+\.(?:py|sbatch))", text):
         assert (ROOT / script).is_file(), script
-    for group, names in (("experiment", r"\+experiment=\[?([\w,]+)"), ("benchmark", r"\bbenchmark=(\w+)")):
+    for group, names in (("experiment", r"\bexperiment=\[?([\w,]+)"), ("benchmark", r"\bbenchmark=(\w+)")):
         for name in ",".join(re.findall(names, text)).split(","):
             assert not name or (ROOT / "conf" / group / f"{name}.yaml").is_file(), f"{group}={name}"
     for module in re.findall(r"python -m (rfpp[\w.]+)", text):

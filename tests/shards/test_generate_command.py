@@ -20,7 +20,7 @@ REPOSITORY = Path(__file__).resolve().parents[2]
 @pytest.mark.parametrize("experiment", ["quickstart", "small_scale", "large_scale"])
 def test_every_experiment_composes_to_a_family_and_valid_data_settings(experiment):
     with initialize_config_dir(str(REPOSITORY / "conf"), version_base="1.3"):
-        cfg = compose("generate", [f"+experiment={experiment}"])
+        cfg = compose("generate", [f"experiment={experiment}"])
     data = instantiate(cfg.data, _convert_="all")
     assert isinstance(data, DatasetSettings)
     assert data.root == f"data/shards/{experiment}"
@@ -32,7 +32,7 @@ def run(*overrides: str) -> subprocess.CompletedProcess:
     """A scene of quickstart's at toy size, whatever the overrides say."""
     small = ["data.resolution=16", "reference.samples=1", "farm.workers=1"]
     amount = ["data.splits={train: 1, train_newviews: 0, validation: 0, test: 0}"]
-    command = [sys.executable, "launch/generate.py", "+experiment=quickstart"]
+    command = [sys.executable, "launch/generate.py", "experiment=quickstart"]
     return subprocess.run(
         [*command, *small, *amount, *overrides], cwd=REPOSITORY, capture_output=True, text=True, check=False
     )

@@ -70,7 +70,7 @@ def test_an_image_in_motion_is_small_and_the_one_at_rest_is_not(renderer):
 
 def test_lights_that_change_again_are_drawn_in_full_at_once():
     """Networks that are linear in lights have an image of each by then."""
-    linear = Renderer(network("+experiment=quickstart"), checkpoint_info(resolution=(16, 16)))
+    linear = Renderer(network("experiment=quickstart"), checkpoint_info(resolution=(16, 16)))
     view = view_of(linear, longer_side=96)
 
     def dimmer(power: float) -> Scene:

@@ -35,7 +35,7 @@ def test_every_family_shows_all_kinds_of_one_pool(name):
 
 @pytest.mark.parametrize("experiment", ["quickstart", "small_scale", "large_scale", "renderformer_data"])
 def test_a_folder_or_objaverse_takes_the_place_on_the_command_line(tmp_path, experiment):
-    command = [f"+experiment={experiment}", f"scene.objects.root={tmp_path}"]
+    command = [f"experiment={experiment}", f"scene.objects.root={tmp_path}"]
     folder = generated(*command, "scene/objects=folder", "scene.objects.folder=/my/meshes").objects
     assert isinstance(folder, FolderObjects)
     assert folder.library_root == tmp_path / "meshes"
@@ -47,7 +47,7 @@ def test_a_folder_or_objaverse_takes_the_place_on_the_command_line(tmp_path, exp
 
 def test_scenes_of_a_folder_keep_test_meshes_for_test_scenes(tmp_path):
     overrides = ["scene/objects=folder", f"scene.objects.folder={fill(tmp_path / 'meshes')}"]
-    source = generated("+experiment=quickstart", *overrides, f"scene.objects.root={tmp_path / 'objects'}")
+    source = generated("experiment=quickstart", *overrides, f"scene.objects.root={tmp_path / 'objects'}")
     library = prepared(source.objects)
     boxes = {
         held_out: {
