@@ -56,18 +56,20 @@ def _recipe(cfg: DictConfig) -> Recipe:
     data = instantiate(cfg.data, _convert_="all")
     if cfg.h5.folder is not None:
         return Import(Path(cfg.h5.folder), cfg.h5.validation, cfg.h5.test).recipe(data)
-    family = instantiate(cfg.scene, _convert_="all")
-    groups = {group: OmegaConf.to_container(cfg[group], resolve=True) for group in ("scene", "reference")}
-    groups["scene"]["objects"] = family.objects.account(groups["scene"]["objects"])
+    family = instantiate(cfg.family, _convert_="all")
+    scene, reference = (OmegaConf.to_container(cfg[group], resolve=True) for group in ("family", "reference"))
+    scene["objects"] = family.objects.account(scene["objects"])
+    groups = {"scene": scene, "reference": reference}  # names that are part of every data set's fingerprint
     return Recipe.of_scenes(family, instantiate(cfg.reference), data, groups)
 
 
 def _prepare(cfg: DictConfig, console: Console) -> list[Library]:
     """Read foreign meshes into their libraries; only what is new or changed is looked at."""
-    sources = instantiate(cfg.scene.objects, _convert_="all").libraries()
+    sources = instantiate(cfg.family.objects, _convert_="all").libraries()
     if not sources:
         raise UserError(
-            "scene.objects: procedural objects need no preparation: choose scene/objects=folder, furniture or objaverse"
+            "family.objects: procedural objects need no preparation: "
+            "choose family/objects=folder, furniture or objaverse"
         )
     return [_prepared(source, cfg, console) for source in sources]
 
@@ -85,7 +87,7 @@ def _prepared(source: PreparedObjects, cfg: DictConfig, console: Console) -> Lib
 
 
 def _make(cfg: DictConfig, console: Console) -> Manifest | None:
-    for source in instantiate(cfg.scene.objects, _convert_="all").libraries():
+    for source in instantiate(cfg.family.objects, _convert_="all").libraries():
         if not source.is_prepared():
             _prepared(source, cfg, console)
     recipe, part = _recipe(cfg), Slice(**cfg.slice)
@@ -175,14 +177,14 @@ def _export(cfg: DictConfig, console: Console) -> list[Path]:
 
 def _preview(cfg: DictConfig, console: Console) -> Path:
     """Random scenes to look at before anything is paid for."""
-    family = instantiate(cfg.scene, _convert_="all")
+    family = instantiate(cfg.family, _convert_="all")
     with counting(console, "scenes") as (show, _):
         scenes = []
         for index in range(cfg.preview):
             rngs = (np.random.default_rng([cfg.data.seed, index, stream]) for stream in range(2))
             scenes.append(family.sample(*rngs, held_out=False))
             show(index + 1, cfg.preview)
-    path = save_png(contact_sheet(scenes, 256), Path(cfg.output) / f"{cfg.scene.name}_preview.png")
+    path = save_png(contact_sheet(scenes, 256), Path(cfg.output) / f"{cfg.family.name}_preview.png")
     console.print(f"Written: {path}")
     return path
 

@@ -24,7 +24,7 @@ def test_every_experiment_composes_to_a_family_and_valid_data_settings(experimen
     data = instantiate(cfg.data, _convert_="all")
     assert isinstance(data, DatasetSettings)
     assert data.root == f"data/shards/{experiment}"
-    assert instantiate(cfg.scene).cameras.count == data.views
+    assert instantiate(cfg.family).cameras.count == data.views
     assert instantiate(cfg.reference).denoise
 
 
@@ -63,8 +63,8 @@ def test_a_folder_of_meshes_is_prepared_and_rendered(tmp_path):
     trimesh.creation.icosphere(2).export(tmp_path / "meshes/ball.ply")
     trimesh.creation.torus(1, 0.3).export(tmp_path / "meshes/ring.glb")
     (tmp_path / "meshes/broken.obj").write_text("f 1 2 3")
-    folders = [f"scene.objects.folder={tmp_path}/meshes", f"scene.objects.root={tmp_path}/objects"]
-    made = run("scene/objects=folder", *folders, f"data.root={tmp_path}/data")
+    folders = [f"family.objects.folder={tmp_path}/meshes", f"family.objects.root={tmp_path}/objects"]
+    made = run("family/objects=folder", *folders, f"data.root={tmp_path}/data")
     assert made.returncode == 0, made.stderr
     assert "broken.obj: unreadable" in made.stdout
     assert "1 held_out" in made.stdout

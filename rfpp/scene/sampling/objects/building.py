@@ -147,7 +147,7 @@ def _index(source: PreparedObjects, outcomes: list[Prepared | Rejected]) -> Inde
         why = ", ".join(f"{count} {reason}" for reason, count in reasons.most_common()) or "none"
         raise SceneError(
             f"{source.library_root}: {len(prepared)} of {len(outcomes)} meshes became objects (rejected: {why}), and "
-            "two are needed, one for training and one for test scenes: bring more or change scene.objects.preparation"
+            "two are needed, one for training and one for test scenes: bring more or change family.objects.preparation"
         )
     held_out = _held_out([item.id for item in prepared], source.held_out)
     parts = {True: "held_out", False: "train"}
