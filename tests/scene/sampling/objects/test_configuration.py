@@ -60,7 +60,7 @@ def test_scenes_of_a_folder_keep_test_meshes_for_test_scenes(tmp_path):
     for held_out in (False, True):
         for seed in range(8):
             scene = draw(source, [seed, 0], [seed, 1], held_out)
-            assert 400 <= sum(len(item.mesh) for item in family.objects) <= 1600
+            assert 400 <= sum(len(item.mesh) for item in scene.objects) <= 1600
             for item in objects(scene, "object"):
                 assert is_closed(item.mesh)
                 assert 50 <= len(item.mesh) <= 300
