@@ -157,14 +157,14 @@ def _reproduce(cfg: DictConfig, console: Console) -> SceneSample:
     recipe = _recipe(cfg)
     task = recipe.task(_sample(cfg))
     key, members = unpack(recipe.job(task).blocks)
-    return _shown(decode(key, members), cfg, console)
+    return _save_panel(decode(key, members), cfg, console)
 
 
 def _show(cfg: DictConfig, console: Console) -> SceneSample:
-    return _shown(find_sample(Path(cfg.data.root), _sample(cfg)), cfg, console)
+    return _save_panel(find_sample(Path(cfg.data.root), _sample(cfg)), cfg, console)
 
 
-def _shown(sample: SceneSample, cfg: DictConfig, console: Console) -> SceneSample:
+def _save_panel(sample: SceneSample, cfg: DictConfig, console: Console) -> SceneSample:
     console.print(f"Written: {save_png(sample_panel(sample), Path(cfg.output) / f'{sample.key}.png')}")
     return sample
 

@@ -18,7 +18,7 @@ from rfpp.gbuffer.object_light import object_light
 from rfpp.scene.triangles import SceneTriangles
 
 
-class Stage:
+class SceneRays:
     """What cameras can see of a scene, and its lights.
 
     Attributes:

@@ -14,7 +14,7 @@ _ATTEMPTS = 2000
 
 
 @dataclass(frozen=True, eq=False)
-class OpenSide:
+class OpenRegion:
     """Half-spaces, one per panel, the floor first; panels count as endless.
 
     The region is convex: what stands in it is hidden from nothing else in it by a panel. So cameras and lights that

@@ -14,12 +14,12 @@ from rfpp.errors import SceneError, UserError
 from rfpp.files import write_atomically
 from rfpp.scene.sampling.objects.library import (
     INDEX,
-    Entry,
     Index,
     Library,
     LibraryObject,
     Prepared,
     Rejected,
+    StrictModel,
     encoded_mesh,
     mesh_path,
     record_path,
@@ -31,7 +31,7 @@ from rfpp.scene.sampling.objects.prepared import Original, PreparedObjects
 Map = Callable[[Callable[[Any], Any], Iterable[Any]], Iterator[tuple[Any, Any]]]
 
 
-class Record(Entry):
+class Record(StrictModel):
     """What became of an original of this stamp under this preparation."""
 
     stamp: str
