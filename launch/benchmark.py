@@ -1,4 +1,4 @@
-"""Measure what something costs: a table to read and, with output=…, a CSV file with commit and hardware.
+"""Run a benchmark: print a table and, with output=…, write a CSV file with commit and hardware.
 
 python launch/benchmark.py benchmark=reference output=data/results/reference.csv
 """

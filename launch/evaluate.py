@@ -69,7 +69,7 @@ def main(cfg: DictConfig) -> list[Evaluation]:
 
 
 def _outputs(checkpoints: Sequence[str], chosen: str | None, data: str) -> dict[str, Path]:
-    """Checkpoint → folder for its results. All are loaded, lest a mistake in the last be found hours later."""
+    """Checkpoint → folder for its results. Loads every checkpoint first, so that errors show before hours of work."""
     folders = {checkpoint: results_folder(checkpoint, load_network(checkpoint)[1], data) for checkpoint in checkpoints}
     outputs = {checkpoint: Path(chosen or folder) for checkpoint, folder in folders.items()}
     if len(set(outputs.values())) < len(checkpoints):

@@ -64,7 +64,7 @@ def _recipe(cfg: DictConfig) -> Recipe:
 
 
 def _prepare(cfg: DictConfig, console: Console) -> list[Library]:
-    """Read foreign meshes into their libraries; only what is new or changed is looked at."""
+    """Import meshes into their libraries; unchanged files are skipped."""
     sources = instantiate(cfg.family.objects, _convert_="all").libraries()
     if not sources:
         raise UserError(
@@ -153,7 +153,7 @@ def _sample(cfg: DictConfig) -> str:
 
 
 def _reproduce(cfg: DictConfig, console: Console) -> SceneSample:
-    """In this very process, so that a failure shows its whole traceback."""
+    """In this process, so that a failure shows its full traceback."""
     recipe = _recipe(cfg)
     task = recipe.task(_sample(cfg))
     key, members = unpack(recipe.job(task).blocks)
@@ -176,7 +176,7 @@ def _export(cfg: DictConfig, console: Console) -> list[Path]:
 
 
 def _preview(cfg: DictConfig, console: Console) -> Path:
-    """Random scenes to look at before anything is paid for."""
+    """A contact sheet of random scenes, before rendering any data."""
     family = instantiate(cfg.family, _convert_="all")
     with counting(console, "scenes") as (show, _):
         scenes = []

@@ -1,4 +1,4 @@
-"""Look into a trained transport operator: does it converge, and does light build up bounce by bounce?
+"""Inspect a trained transport operator: residuals and images after each application.
 
 python launch/inspect_transport.py experiment=quickstart checkpoint=data/runs/quickstart/latest/checkpoints/best.ckpt
 """

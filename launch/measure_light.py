@@ -1,4 +1,4 @@
-"""How well do networks move light? What they add to known light, on scenes with clean references.
+"""Measure what networks add to known light, on scenes with clean references.
 
 python launch/generate.py experiment=light_test
 python launch/measure_light.py experiment=light_test checkpoint=[a/checkpoints/best.ckpt,b/checkpoints/best.ckpt]

@@ -1,4 +1,4 @@
-"""What every file in launch/ shares: Hydra composition, and one line instead of a traceback for user errors."""
+"""Shared by all files in launch/: Hydra composition and one-line messages for user errors."""
 
 from __future__ import annotations
 

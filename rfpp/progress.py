@@ -1,4 +1,4 @@
-"""Progress bars for long work that counts what it has done."""
+"""Progress bars."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Reading a network back from a checkpoint, without running any code that the file might name."""
+"""Load a network from a checkpoint without executing code from it."""
 
 from __future__ import annotations
 
@@ -131,7 +131,7 @@ def _read_file(path: Path) -> tuple[CheckpointInfo, dict[str, torch.Tensor]]:
 
 
 def read_checkpoint(path: Path, **how: Any) -> dict[str, Any]:
-    """What a checkpoint that Lightning wrote holds; no code in it is run.
+    """The content of a checkpoint written by Lightning; no code in it is executed.
 
     Args:
         how: further arguments of torch.load.

@@ -1,4 +1,4 @@
-"""A checkpoint and its evaluations → the folder that others load, with a card that says what it was measured at.
+"""Publish a checkpoint as a model folder, with its evaluations in the model card.
 
 python -m rfpp.evaluation.publish data/runs/quickstart/latest data/models/mine
 """

@@ -1,4 +1,4 @@
-"""What gets worse when a part of a network is taken away? Parts that do nothing look like all others."""
+"""Ablate parts of a trained network to find those it does not use."""
 
 from __future__ import annotations
 

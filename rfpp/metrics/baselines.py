@@ -1,4 +1,4 @@
-"""Trivial predictors, to be read beside every learned result: what is a number worth that black also reaches?
+"""Trivial baselines for comparison with learned results.
 
 All are fitted on training views and predict linear radiance from what the G-buffer holds (`CHANNELS`).
 """

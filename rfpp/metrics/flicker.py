@@ -1,4 +1,4 @@
-"""Flicker: how much a predicted film changes from frame to frame where the path-traced one does not, or otherwise."""
+"""Flicker: error of the frame-to-frame changes of a predicted film."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One source package by pip, known by its hash before pip looks into it.
+"""Download one hash-pinned source package with pip.
 
 pip has no way to fetch a source package without preparing its metadata, which runs the package's build script. With
 `--require-hashes` the script is one that was read before its hash was written down: anything else is refused unopened.

@@ -1,4 +1,4 @@
-"""What makes a view worth rendering: it sees enough, and light reaches what it sees. Checked before any rendering."""
+"""Reject views that see too little or too little light, before rendering them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Making one sample: draw a scene, check what its cameras see and how it is lit, render, pack."""
+"""Make one sample: draw a scene, check its views, render, pack."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Pictures of scenes and samples: what `launch/generate.py` shows of a data set, and of one that is yet to be made."""
+"""Preview pictures of scenes and stored samples."""
 
 from __future__ import annotations
 

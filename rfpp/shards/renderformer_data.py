@@ -1,4 +1,4 @@
-"""RenderFormer's H5 training files as a data set: a recipe whose samples are files instead of random scenes.
+"""Import RenderFormer's H5 training files as a data set.
 
 Images come from the files; G-buffers and their direct light from our caster. A sample is a pure function of its file;
 the names of all files say into which split it falls.

@@ -1,4 +1,4 @@
-"""A scene ready for casting rays, before and after its cameras are chosen."""
+"""Cast all rays of a stored scene: G-buffers, direct light, reflections and cells."""
 
 from __future__ import annotations
 

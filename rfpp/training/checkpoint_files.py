@@ -1,4 +1,4 @@
-"""The files a run goes on from: written whole or not at all, and read back only when sound."""
+"""Checkpoint files: written atomically, validated before resuming."""
 
 from __future__ import annotations
 

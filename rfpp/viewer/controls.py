@@ -1,4 +1,4 @@
-"""The controls beside the image: what is looked at, objects and lights, the reference, and what is saved."""
+"""The viewer's controls: layer, objects, lights, reference and export."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What can be looked at: the image, the light after each transport, and the G-buffers."""
+"""Layers of the viewer: the image, the light after each transport, and the G-buffers."""
 
 from __future__ import annotations
 

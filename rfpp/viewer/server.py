@@ -71,11 +71,11 @@ class Viewer:
 
     @property
     def url(self) -> str:
-        """Where the page is."""
+        """Address of the page."""
         return f"http://{self._server.get_host()}:{self._server.get_port()}"
 
     def close(self) -> None:
-        """Send everyone home."""
+        """Disconnect all visitors and stop the server."""
         for session in self._sessions.values():
             session.close()
         self._tracer.close()
@@ -120,7 +120,7 @@ class Viewer:
 
 
 def _require_address(host: str, port: int) -> None:
-    """viser would try for ever."""
+    """Raises UserError for an address that cannot be bound; viser would retry forever."""
     if not 0 <= port <= 65535:
         raise UserError(f"port={port}: is none: choose one from 1024 to 65535")
     try:
@@ -131,7 +131,7 @@ def _require_address(host: str, port: int) -> None:
 
 
 class _Page:
-    """Where a visitor's pictures go."""
+    """A visitor's page."""
 
     def __init__(self, client: viser.ClientHandle, status: viser.GuiMarkdownHandle):
         self._client, self._status = client, status

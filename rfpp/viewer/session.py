@@ -1,4 +1,4 @@
-"""What one visitor looks at: their scene, their camera, and a thread that draws it again whenever one changes."""
+"""A visitor's session: scene, camera, and a thread that redraws on changes."""
 
 from __future__ import annotations
 

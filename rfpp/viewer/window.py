@@ -1,4 +1,4 @@
-"""A visitor's window: where its camera stands, in the project's words and in viser's."""
+"""Convert between the project's cameras and viser's."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""evaluation.json: all that a table of results must know about one evaluation of one checkpoint."""
+"""evaluation.json: one evaluation of one checkpoint, as read by the tables of results."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a transport operator does when it is applied again and again: does it converge, and to which image?"""
+"""Convergence of a transport operator that is applied repeatedly."""
 
 from __future__ import annotations
 

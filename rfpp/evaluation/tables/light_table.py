@@ -1,4 +1,4 @@
-"""The table of how well networks move light."""
+"""The table of light-transport measurements."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From evaluations to the rows of a table: seeds of one training joined, splits and data sets averaged."""
+"""Build table rows from evaluations: join seeds, average splits and data sets."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The open side of a background: the convex region in front of its floor and walls."""
+"""The open region of a background: the convex space in front of its floor and walls."""
 
 from __future__ import annotations
 

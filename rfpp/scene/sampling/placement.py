@@ -1,4 +1,4 @@
-"""Where objects stand: rotations and positions without intersections."""
+"""Place objects without intersections."""
 
 from __future__ import annotations
 

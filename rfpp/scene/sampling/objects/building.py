@@ -1,4 +1,4 @@
-"""Making a library of objects: what is missing is prepared, in any number of processes, killed and resumed at will."""
+"""Build an object library in parallel; interrupted builds resume."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Objects from libraries of furniture as Sweet Home 3D has them."""
+"""Objects from Sweet Home 3D furniture libraries."""
 
 from __future__ import annotations
 

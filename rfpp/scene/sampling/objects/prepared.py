@@ -1,4 +1,4 @@
-"""Sources whose objects are prepared before any scene is drawn."""
+"""Object sources that need preparation before sampling."""
 
 from __future__ import annotations
 
