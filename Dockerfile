@@ -1,6 +1,6 @@
 # docker build -t rfpp .
 # docker run --rm -v "$PWD:/work" rfpp render scene=chair.glb   # a file of yours
-# docker run --rm --gpus all --ipc=host -v "$PWD:/work" rfpp train +experiment=quickstart
+# docker run --rm --gpus all --ipc=host -v "$PWD:/work" rfpp train experiment=quickstart
 # For a CPU alone, which is smaller: --build-arg PIP_EXTRA_INDEX_URL=https://download.pytorch.org/whl/cpu
 # Checked without a Docker engine: the packages' names, that pip resolves what it asks for, and that the wheel renders in a fresh
 # environment. Not checked: building and starting the image, --gpus.

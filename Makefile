@@ -3,12 +3,12 @@
 # make test-all       and the rest: trainings, Slurm, notebooks, whole pipelines
 # make fuzz           thousands of damaged and hostile files, and what became of them, in data/results/fuzz.csv
 # make docs           the documentation as a site: docs/_build/html/docs/index.html
-# make check          style, import contracts
+# make check          style, import contracts, types
 # Each makes its own virtual environment first. PYTHON=/path/to/python3.11 names another interpreter.
 VENV ?= .venv
 RUN := $(VENV)/bin/python
 PYTEST := $(RUN) -m pytest -n 2 --dist loadgroup --durations=50 --durations-min=3
-EXPERIMENT := +experiment=quickstart
+EXPERIMENT := experiment=quickstart
 # One folder, so that the same command goes on after an interruption.
 TRAINED := data/runs/quickstart/by_make
 
@@ -54,3 +54,4 @@ check: install
 	$(VENV)/bin/ruff check .
 	$(VENV)/bin/ruff format --check .
 	$(VENV)/bin/lint-imports
+	$(VENV)/bin/mypy

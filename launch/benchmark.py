@@ -1,4 +1,4 @@
-"""Measure what something costs: a table to read and, with output=…, a CSV file with commit and hardware.
+"""Run a benchmark: print a table and, with output=…, write a CSV file with commit and hardware.
 
 python launch/benchmark.py benchmark=reference output=data/results/reference.csv
 """
@@ -60,13 +60,13 @@ def _table(rows: list[Row]) -> Table:
     same = {name: value for name, value in rows[0].items() if len(rows) > 1 and all(r[name] == value for r in rows)}
     names = [name for name in rows[0] if name not in same]
     table = Table(*(Column(name, no_wrap=True) for name in names), box=None, pad_edge=False, title_justify="left")
-    table.title = ", ".join(f"{name} {_shown(value)}" for name, value in same.items())
+    table.title = ", ".join(f"{name} {_cell(value)}" for name, value in same.items())
     for row in rows:
-        table.add_row(*(_shown(row[name]) for name in names))
+        table.add_row(*(_cell(row[name]) for name in names))
     return table
 
 
-def _shown(value: str | int | float | None) -> str:
+def _cell(value: str | int | float | None) -> str:
     if value is None:
         return ""
     return f"{value:.3g}" if isinstance(value, float) else str(value)

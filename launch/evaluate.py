@@ -1,7 +1,7 @@
 """Measure trained networks on stored scenes, beside the trivial baselines.
 
-python launch/evaluate.py +experiment=quickstart checkpoint=data/runs/quickstart/latest/checkpoints/best.ckpt
-python launch/evaluate.py +experiment=quickstart checkpoint=[a/checkpoints/best.ckpt,b/checkpoints/best.ckpt]
+python launch/evaluate.py experiment=quickstart checkpoint=data/runs/quickstart/latest/checkpoints/best.ckpt
+python launch/evaluate.py experiment=quickstart checkpoint=[a/checkpoints/best.ckpt,b/checkpoints/best.ckpt]
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from rfpp.evaluation.tracked_results import log_to_training_run, results_folder,
 from rfpp.metrics.image import ImageMetrics
 from rfpp.metrics.lpips import LPIPS
 from rfpp.model.radiosity import UnlearnedRadiosity
-from rfpp.progress import stages
+from rfpp.progress import progress_bars
 from rfpp.shards.dataset import ShardSplit
 from rfpp.training.config_file import write_config
 from rfpp.training.tracking.registry import checkpoint_file
@@ -59,17 +59,17 @@ def main(cfg: DictConfig) -> list[Evaluation]:
     baselines = fitted_baselines(ShardSplit(cfg.data.root, "train", cache), cfg.evaluation.baseline_scenes)
     beside = []
     radiosity = UnlearnedRadiosity().to(device)
-    with stages(console) as stage:
+    with progress_bars(console) as bar:
         for split in splits:
-            count = stage(f"{split.split}, baselines", len(split))
+            count = bar(f"{split.split}, baselines", len(split))
             beside += baseline_records(baselines, split, metrics, device, count)
-            count = stage(f"{split.split}, {radiosity.name}", len(split))
+            count = bar(f"{split.split}, {radiosity.name}", len(split))
             beside += network_records(radiosity, split, metrics, device, count, predictor=radiosity.name)
     return [_evaluate(cfg, *item, splits, metrics, beside, device, console) for item in outputs.items()]
 
 
 def _outputs(checkpoints: Sequence[str], chosen: str | None, data: str) -> dict[str, Path]:
-    """Checkpoint → folder for its results. All are loaded, lest a mistake in the last be found hours later."""
+    """Checkpoint → folder for its results. Loads every checkpoint first, so that errors show before hours of work."""
     folders = {checkpoint: results_folder(checkpoint, load_network(checkpoint)[1], data) for checkpoint in checkpoints}
     outputs = {checkpoint: Path(chosen or folder) for checkpoint, folder in folders.items()}
     if len(set(outputs.values())) < len(checkpoints):
@@ -96,9 +96,9 @@ def _evaluate(
         console.print(f"Note: {checkpoint} was trained on another data set than {cfg.data.root}.", style="yellow")
 
     images, panels, pictures, life = [], [], {}, {}
-    with stages(console) as stage:
+    with progress_bars(console) as bar:
         for split in splits:
-            mine = network_records(network, split, metrics, device, stage(f"{split.split}, model", len(split)))
+            mine = network_records(network, split, metrics, device, bar(f"{split.split}, model", len(split)))
             life[split.split] = signs_of_life(network, split, device, cfg.evaluation.life_scenes)
             scenes = scene_records(mine)
             shown = pictured_scenes(scenes, cfg.evaluation.pictured_scenes)

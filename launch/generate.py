@@ -1,8 +1,8 @@
 """Make a data set: random scenes → Blender Cycles and G-buffers → WebDataset shards.
 
-    python launch/generate.py +experiment=quickstart
-    python launch/generate.py +experiment=large_scale preview=16
-    python launch/generate.py +experiment=quickstart action=show sample=train-000012
+    python launch/generate.py experiment=quickstart
+    python launch/generate.py experiment=large_scale preview=16
+    python launch/generate.py experiment=quickstart action=show sample=train-000012
 
 Run the same command again after an interruption: nothing that was rendered is lost. Other actions: `merge` joins slices
 that were made apart, `status` says what is missing, `verify` hashes and decodes everything, `prepare` only reads the
@@ -56,18 +56,20 @@ def _recipe(cfg: DictConfig) -> Recipe:
     data = instantiate(cfg.data, _convert_="all")
     if cfg.h5.folder is not None:
         return Import(Path(cfg.h5.folder), cfg.h5.validation, cfg.h5.test).recipe(data)
-    family = instantiate(cfg.scene, _convert_="all")
-    groups = {group: OmegaConf.to_container(cfg[group], resolve=True) for group in ("scene", "reference")}
-    groups["scene"]["objects"] = family.objects.account(groups["scene"]["objects"])
+    family = instantiate(cfg.family, _convert_="all")
+    scene, reference = (OmegaConf.to_container(cfg[group], resolve=True) for group in ("family", "reference"))
+    scene["objects"] = family.objects.account(scene["objects"])
+    groups = {"scene": scene, "reference": reference}  # names that are part of every data set's fingerprint
     return Recipe.of_scenes(family, instantiate(cfg.reference), data, groups)
 
 
 def _prepare(cfg: DictConfig, console: Console) -> list[Library]:
-    """Read foreign meshes into their libraries; only what is new or changed is looked at."""
-    sources = instantiate(cfg.scene.objects, _convert_="all").libraries()
+    """Import meshes into their libraries; unchanged files are skipped."""
+    sources = instantiate(cfg.family.objects, _convert_="all").libraries()
     if not sources:
         raise UserError(
-            "scene.objects: procedural objects need no preparation: choose scene/objects=folder, furniture or objaverse"
+            "family.objects: procedural objects need no preparation: "
+            "choose family/objects=folder, furniture or objaverse"
         )
     return [_prepared(source, cfg, console) for source in sources]
 
@@ -85,7 +87,7 @@ def _prepared(source: PreparedObjects, cfg: DictConfig, console: Console) -> Lib
 
 
 def _make(cfg: DictConfig, console: Console) -> Manifest | None:
-    for source in instantiate(cfg.scene.objects, _convert_="all").libraries():
+    for source in instantiate(cfg.family.objects, _convert_="all").libraries():
         if not source.is_prepared():
             _prepared(source, cfg, console)
     recipe, part = _recipe(cfg), Slice(**cfg.slice)
@@ -151,18 +153,18 @@ def _sample(cfg: DictConfig) -> str:
 
 
 def _reproduce(cfg: DictConfig, console: Console) -> SceneSample:
-    """In this very process, so that a failure shows its whole traceback."""
+    """In this process, so that a failure shows its full traceback."""
     recipe = _recipe(cfg)
     task = recipe.task(_sample(cfg))
     key, members = unpack(recipe.job(task).blocks)
-    return _shown(decode(key, members), cfg, console)
+    return _save_panel(decode(key, members), cfg, console)
 
 
 def _show(cfg: DictConfig, console: Console) -> SceneSample:
-    return _shown(find_sample(Path(cfg.data.root), _sample(cfg)), cfg, console)
+    return _save_panel(find_sample(Path(cfg.data.root), _sample(cfg)), cfg, console)
 
 
-def _shown(sample: SceneSample, cfg: DictConfig, console: Console) -> SceneSample:
+def _save_panel(sample: SceneSample, cfg: DictConfig, console: Console) -> SceneSample:
     console.print(f"Written: {save_png(sample_panel(sample), Path(cfg.output) / f'{sample.key}.png')}")
     return sample
 
@@ -174,15 +176,15 @@ def _export(cfg: DictConfig, console: Console) -> list[Path]:
 
 
 def _preview(cfg: DictConfig, console: Console) -> Path:
-    """Random scenes to look at before anything is paid for."""
-    family = instantiate(cfg.scene, _convert_="all")
+    """A contact sheet of random scenes, before rendering any data."""
+    family = instantiate(cfg.family, _convert_="all")
     with counting(console, "scenes") as (show, _):
         scenes = []
         for index in range(cfg.preview):
             rngs = (np.random.default_rng([cfg.data.seed, index, stream]) for stream in range(2))
             scenes.append(family.sample(*rngs, held_out=False))
             show(index + 1, cfg.preview)
-    path = save_png(contact_sheet(scenes, 256), Path(cfg.output) / f"{cfg.scene.name}_preview.png")
+    path = save_png(contact_sheet(scenes, 256), Path(cfg.output) / f"{cfg.family.name}_preview.png")
     console.print(f"Written: {path}")
     return path
 

@@ -1,6 +1,6 @@
-"""Look into a trained transport operator: does it converge, and does light build up bounce by bounce?
+"""Inspect a trained transport operator: residuals and images after each application.
 
-python launch/inspect_transport.py +experiment=quickstart checkpoint=data/runs/quickstart/latest/checkpoints/best.ckpt
+python launch/inspect_transport.py experiment=quickstart checkpoint=data/runs/quickstart/latest/checkpoints/best.ckpt
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from rfpp.checkpoint.loading import load_network
 from rfpp.commands import entry_point, required
 from rfpp.evaluation.measuring.transport import trace_transport
 from rfpp.evaluation.report.transport_report import write_transport_report
-from rfpp.progress import stages
+from rfpp.progress import progress_bars
 from rfpp.shards.dataset import ShardSplit
 
 
@@ -28,9 +28,11 @@ def main(cfg: DictConfig) -> Path:
     device = torch.device(cfg.device or ("cuda" if torch.cuda.is_available() else "cpu"))
     output = Path(cfg.output) if cfg.output else Path(cfg.checkpoint).parents[1] / "transport"
     split = ShardSplit(cfg.data.root, cfg.split, instantiate(cfg.datamodule.cache))
-    with stages(console) as stage:
+    with progress_bars(console) as bar:
         network.to(device)
-        trace = trace_transport(network, split, cfg.applications, cfg.shown, device, stage("scenes", len(split)))
+        trace = trace_transport(
+            network, split, cfg.applications, cfg.pictured_scenes, device, bar("scenes", len(split))
+        )
     title = f"{len(split)} scenes of {cfg.data.root}, split {cfg.split}"
     *_, page = write_transport_report(trace, info, title, output)
     console.print(f"Report: {page}")

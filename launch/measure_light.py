@@ -1,7 +1,7 @@
-"""How well do networks move light? What they add to known light, on scenes with clean references.
+"""Measure what networks add to known light, on scenes with clean references.
 
-python launch/generate.py +experiment=light_test
-python launch/measure_light.py +experiment=light_test checkpoint=[a/checkpoints/best.ckpt,b/checkpoints/best.ckpt]
+python launch/generate.py experiment=light_test
+python launch/measure_light.py experiment=light_test checkpoint=[a/checkpoints/best.ckpt,b/checkpoints/best.ckpt]
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from rfpp.evaluation.tables.light_table import COLUMNS, light_row, write_light_r
 from rfpp.model.linear_transport import LinearTransport
 from rfpp.model.matrix_precision import matrix_dtype
 from rfpp.model.radiosity import UnlearnedRadiosity
-from rfpp.progress import stages
+from rfpp.progress import progress_bars
 from rfpp.shards.dataset import ShardSplit
 from rfpp.training.tracking.description import code_version, hardware
 
@@ -47,8 +47,8 @@ def main(cfg: DictConfig) -> Path:
     device = torch.device("cpu")
     dtype = matrix_dtype("auto", device)
     autocast = partial(torch.autocast, "cpu", dtype, enabled=dtype != torch.float32)
-    with stages(console) as stage:
-        errors = measure(predictors, split, Path(cfg.clean), autocast, stage("scenes", len(split)))
+    with progress_bars(console) as bar:
+        errors = measure(predictors, split, Path(cfg.clean), autocast, bar("scenes", len(split)))
     about = {"commit": (code_version() or "")[:12], "hardware": hardware(device)}
     named = split.manifest.name if cfg.split == "test" else f"{split.manifest.name}, {cfg.split}"
     about |= {"data": named, "manifest": split.manifest.hash[:12]}

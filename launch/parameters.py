@@ -31,7 +31,7 @@ def counts_by_method(size: str) -> dict[str, dict[str, int]]:
     counts = {}
     with initialize_config_dir(str(CONFIG_DIR), version_base="1.3"):
         for experiment in ("large_scale", *(f"[large_scale,{variant}]" for variant in variants)):
-            cfg = compose("train", overrides=[f"+experiment={experiment}", f"size={size}", "run_dir=unused"])
+            cfg = compose("train", overrides=[f"experiment={experiment}", f"size={size}", "run_dir=unused"])
             with torch.device("meta"):  # shapes are enough
                 counts[cfg.method] = parameter_counts(instantiate(cfg.model, _convert_="all"))
     return counts

@@ -1,4 +1,4 @@
-"""Find the lights of a scene from a picture: how bright, and of which colours, they have to be for it.
+"""Find the power and colours of a scene's lights from a picture.
 
     python launch/relight.py scene=data/scenes/roughness_spheres.json target=evening.exr
     python launch/relight.py scene=room.glb target=[a.png,b.png] cameras=[0,2] colours=false

@@ -1,6 +1,6 @@
 """Train a network on a data set's shards, tracked in MLflow.
 
-python launch/train.py +experiment=quickstart
+python launch/train.py experiment=quickstart
 
 The same command with the same run_dir goes on where the run was, after a kill too. Ctrl-C saves first.
 """

@@ -25,7 +25,7 @@ from rfpp.scene.io.loading import load_scene
 from rfpp.training.tracking.registry import checkpoint_file
 
 
-@entry_point("view", CONFIG_DIR / "view")
+@entry_point("view")
 def main(cfg: DictConfig) -> None:
     """Serve the page until Ctrl-C."""
     try:

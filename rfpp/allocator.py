@@ -1,4 +1,4 @@
-"""How this process gets its memory from the system."""
+"""Memory allocator settings of the process."""
 
 from __future__ import annotations
 

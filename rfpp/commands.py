@@ -1,4 +1,4 @@
-"""What every file in launch/ shares: Hydra composition, and one line instead of a traceback for user errors."""
+"""Shared by all files in launch/: Hydra composition and one-line messages for user errors."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ NO_SPACE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 #: SQLite's words for it, which reach us in an exception of MLflow's.
 SQLITE_NO_SPACE = "database or disk is full"
 
-#: Groups that no configuration has by default.
-_OPTIONAL_GROUPS = ("experiment=", "debug=")
+#: Groups that had no default once and were added with a plus.
+_ONCE_ADDED = ("+experiment=", "+debug=")
 
 #: Hydra's primary configurations and groups.
 CONFIG_DIR = carried("conf", "_conf")
@@ -74,7 +74,7 @@ def entry_point(
 
         @functools.wraps(reporting)
         def command() -> Result:
-            sys.argv[1:] = with_groups(sys.argv[1:])
+            sys.argv[1:] = without_plus(sys.argv[1:])
             os.environ["HYDRA_FULL_ERROR"] = "1"  # Hydra then leaves its errors to us, and a defect its whole traceback
             try:
                 return composed()
@@ -86,9 +86,9 @@ def entry_point(
     return decorate
 
 
-def with_groups(arguments: Sequence[str]) -> list[str]:
-    """The command line with a plus before `experiment=…` and `debug=…`, as Hydra wants it; people may leave it away."""
-    return [f"+{given}" if given.startswith(_OPTIONAL_GROUPS) else given for given in arguments]
+def without_plus(arguments: Sequence[str]) -> list[str]:
+    """The command line with `experiment=…` for `+experiment=…`, which Hydra refuses for a group that has a default."""
+    return [given[1:] if given.startswith(_ONCE_ADDED) else given for given in arguments]
 
 
 def _uncaught(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:

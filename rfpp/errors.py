@@ -1,4 +1,4 @@
-"""The errors a user can cause and mend.
+"""Errors that a user can cause and fix.
 
 Every entry point prints such an error as one line and exits with status 1; anything else is a bug and keeps
 its traceback.

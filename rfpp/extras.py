@@ -1,4 +1,4 @@
-"""Libraries that are not always installed, and the extras of this package that bring them."""
+"""Optional libraries and the extras that install them."""
 
 from __future__ import annotations
 

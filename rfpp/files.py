@@ -1,4 +1,4 @@
-"""Names of files, and writing them so that a reader never sees half of one."""
+"""Atomic writes and safe file names."""
 
 from __future__ import annotations
 

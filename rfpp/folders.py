@@ -1,4 +1,4 @@
-"""Folders of the project's top level, which travel inside of the package when it is installed."""
+"""Top-level folders, which are part of the package when it is installed."""
 
 from __future__ import annotations
 

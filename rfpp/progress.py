@@ -1,4 +1,4 @@
-"""Progress bars for long work that counts what it has done."""
+"""Progress bars."""
 
 from __future__ import annotations
 
@@ -53,15 +53,15 @@ def counting(console: Console, things: str, each: int = 1) -> Iterator[tuple[Cal
 
 
 @contextmanager
-def stages(console: Console) -> Iterator[Callable[[str, int], Callable[[], None]]]:
-    """Bars for the stages of one work: yields `stage(name, total)`, which gives what is called after each thing done.
+def progress_bars(console: Console) -> Iterator[Callable[[str, int], Callable[[], None]]]:
+    """Bars for the parts of one work: yields `bar(name, total)`, which returns what is called after each thing done.
 
     Where no bar can be shown, a line a minute.
     """
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console) as progress:
 
-        def stage(name: str, total: int) -> Callable[[], None]:
+        def bar(name: str, total: int) -> Callable[[], None]:
             task = progress.add_task(name, total=total)
             lines = None if console.is_terminal else ProgressLines(f"{name}:", console.print)
             done = itertools.count(1)
@@ -75,7 +75,7 @@ def stages(console: Console) -> Iterator[Callable[[str, int], Callable[[], None]
                 lines(0, total)
             return one_more
 
-        yield stage
+        yield bar
 
 
 class _PerSecond(ProgressColumn):

@@ -1,4 +1,4 @@
-"""How far long work has come, for outputs that show no moving bar: files, logs of Slurm jobs."""
+"""Progress as log lines, for outputs without a moving bar such as files and Slurm logs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Packed sequences of different lengths: runs on an axis, without padding."""
+"""Segments: packed sequences of different lengths, without padding."""
 
 from __future__ import annotations
 

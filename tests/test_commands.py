@@ -7,16 +7,22 @@ from pathlib import Path
 
 import pytest
 
-from rfpp.commands import settings, with_groups
+from rfpp.commands import settings, without_plus
 from rfpp.errors import UserError
 
 ROOT = Path(__file__).parents[1]
 
 
-def test_experiments_are_named_with_or_without_a_plus():
-    given = ["-m", "experiment=[ablation,linear_light]", "+experiment=quickstart", "debug=one_batch", "data.name=a=b"]
-    assert with_groups(given) == [
-        "-m", "+experiment=[ablation,linear_light]", "+experiment=quickstart", "+debug=one_batch", "data.name=a=b"
+def test_a_plus_before_experiment_and_debug_is_dropped():
+    given = [
+        "-m",
+        "+experiment=[ablation,linear_light]",
+        "experiment=quickstart",
+        "+debug=cpu",
+        "+x=+experiment=a",
+    ]
+    assert without_plus(given) == [
+        "-m", "experiment=[ablation,linear_light]", "experiment=quickstart", "debug=cpu", "+x=+experiment=a"
     ]  # fmt: skip
 
 

@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
+import yaml
 
 ROOT = Path(__file__).parents[1]
 
@@ -35,7 +36,7 @@ def test_commands_name_what_there_is(page):
     text = (ROOT / page).read_text(encoding="utf-8")
     for script in re.findall(r"(launch/[\w/]+\.(?:py|sbatch))", text):
         assert (ROOT / script).is_file(), script
-    for group, names in (("experiment", r"\+experiment=\[?([\w,]+)"), ("benchmark", r"\bbenchmark=(\w+)")):
+    for group, names in (("experiment", r"\bexperiment=\[?([\w,]+)"), ("benchmark", r"\bbenchmark=(\w+)")):
         for name in ",".join(re.findall(names, text)).split(","):
             assert not name or (ROOT / "conf" / group / f"{name}.yaml").is_file(), f"{group}={name}"
     for module in re.findall(r"python -m (rfpp[\w.]+)", text):
@@ -55,3 +56,9 @@ def test_the_tour_says_of_every_folder_what_the_folder_says_of_itself():
 
 def test_readme_is_read_in_a_few_minutes():
     assert len((ROOT / "README.md").read_text(encoding="utf-8").split()) < 1000
+
+
+def test_a_commit_is_checked_by_what_make_check_runs():
+    tools = set(re.findall(r"^\t\$\(VENV\)/bin/(\S+)", (ROOT / "Makefile").read_text(), re.MULTILINE))
+    hooks = yaml.safe_load((ROOT / ".pre-commit-config.yaml").read_text())["repos"][0]["hooks"]
+    assert {hook["entry"].split()[0] for hook in hooks} == tools == {"ruff", "lint-imports", "mypy"}

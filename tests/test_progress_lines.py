@@ -4,7 +4,7 @@ import io
 
 from rich.console import Console
 
-from rfpp.progress import counting, stages
+from rfpp.progress import counting, progress_bars
 from rfpp.progress_lines import ProgressLines
 
 
@@ -48,9 +48,9 @@ def test_files_get_lines_and_terminals_a_bar():
 
 def test_stages_of_one_work_have_lines_of_their_own():
     output = io.StringIO()
-    with stages(Console(file=output, width=200)) as stage:
+    with progress_bars(Console(file=output, width=200)) as bar:
         for name in ("test, model", "test, baselines"):
-            count = stage(name, 32)
+            count = bar(name, 32)
             for _ in range(32):
                 count()
     assert "test, model: 10 of 32, " in output.getvalue()

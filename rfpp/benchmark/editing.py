@@ -1,4 +1,4 @@
-"""What an edit costs a renderer that remembers the scene, against rendering the edited scene anew."""
+"""Cost of re-rendering after an edit, with and without the renderer's caches."""
 
 from __future__ import annotations
 

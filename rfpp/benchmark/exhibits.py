@@ -1,4 +1,4 @@
-"""Chosen scenes for benchmarks of pictures: from files, and drawn from families."""
+"""Scenes of the picture benchmarks, from files or sampled from families."""
 
 from __future__ import annotations
 

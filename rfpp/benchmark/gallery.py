@@ -1,4 +1,4 @@
-"""A trained network's pictures of chosen scenes beside Cycles', with the time of each: what it can do and what not."""
+"""A gallery of a trained network's pictures beside Cycles, with render times."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a GPU does with the networks: a table made in parts, each row written as soon as it is there."""
+"""Speed and memory of the networks on a GPU; each row is written as soon as it is measured."""
 
 from __future__ import annotations
 

@@ -39,7 +39,7 @@ def table(rows: Sequence[Row]) -> str:
         other = ours.get(_what(row))
         if row["network"] != BASELINE or other is None or row["quantity"] in ("encode", "view"):
             continue
-        cells = [_shown(row), _shown(other), _ratio(row, other, "seconds", "{:.1f} ×"), _memory(row, other)]
+        cells = [_cell(row), _cell(other), _ratio(row, other, "seconds", "{:.1f} ×"), _memory(row, other)]
         side = f"{row['resolution']}²"
         lines.append(f"| {_name(row)} | {int(row['triangles']):,} | {side} | {' | '.join(cells)} |")
     if len(lines) == 2:
@@ -64,7 +64,7 @@ def _name(row: Row) -> str:
     return f"{name}, compiled" if row["compiled"] == "True" else name
 
 
-def _shown(row: Row) -> str:
+def _cell(row: Row) -> str:
     if not row["seconds"]:
         return row["status"]
     gigabytes = f", {float(row['peak_GB']):.1f} GB" if row["peak_GB"] else ""

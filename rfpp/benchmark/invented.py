@@ -1,4 +1,4 @@
-"""Data sets that are quick to make and as large and as hard to compress as real ones: rendering is left out."""
+"""Synthetic data sets, as large and as hard to compress as rendered ones."""
 
 from __future__ import annotations
 

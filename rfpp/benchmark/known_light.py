@@ -1,4 +1,4 @@
-"""What G-buffers with direct light and reflections cost, and how far so many samples are from converged."""
+"""Cost and convergence of G-buffers with direct light and reflections."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How large a scene may be: time and peak memory of rendering one, in a process that has done nothing else."""
+"""Time and peak memory of rendering a large scene, in a fresh process."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which optimizer gets further: with as many steps, and in as much time."""
+"""Compare optimizers at equal steps and equal time."""
 
 from __future__ import annotations
 

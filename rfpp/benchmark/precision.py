@@ -1,4 +1,4 @@
-"""What a trained network's images lose in bfloat16: against float32, and against the reference."""
+"""Error of bfloat16 rendering against float32 and against the reference."""
 
 from __future__ import annotations
 

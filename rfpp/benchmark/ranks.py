@@ -1,4 +1,4 @@
-"""Training steps of two processes on this machine, a core each: timed with and without communication."""
+"""Time training steps of two processes on this machine, with and without communication."""
 
 from __future__ import annotations
 

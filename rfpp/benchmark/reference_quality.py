@@ -1,4 +1,4 @@
-"""What each quality of ground truth costs, and how far it is from a converged image."""
+"""Cost and error of each reference preset."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How well are lights found from a picture? Those of stored scenes, from their path-traced images."""
+"""Accuracy of lights recovered from path-traced images."""
 
 from __future__ import annotations
 

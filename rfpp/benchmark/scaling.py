@@ -1,4 +1,4 @@
-"""How training scales: the model of a step's time, checked with two processes on this machine, asked about GPUs."""
+"""Predict training time on clusters with a model checked on this machine."""
 
 from __future__ import annotations
 

@@ -55,7 +55,7 @@ class Training:
             network=partial(instantiate, cfg.model, _convert_="all"),
             loss=partial(instantiate, cfg.loss),
             optimizer=instantiate(cfg.optimizer),
-            family=instantiate(cfg.scene, _convert_="all"),
+            family=instantiate(cfg.family, _convert_="all"),
             resolution=cfg.data.resolution,
             views=cfg.datamodule.views_per_scene,
             scenes=cfg.datamodule.scenes_per_step,

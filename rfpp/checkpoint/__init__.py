@@ -1,1 +1,1 @@
-"""Files and networks: checkpoints, model folders, released RenderFormer weights, shipped models."""
+"""Load and save networks: checkpoints, model folders, released RenderFormer weights, shipped models."""

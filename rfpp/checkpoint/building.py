@@ -1,4 +1,4 @@
-"""A network from the configuration in somebody's file: parts of `rfpp.model` and nothing else, of any usual size."""
+"""Build a network from an untrusted configuration: only classes of `rfpp.model`, of bounded size."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Reading a network back from a checkpoint, without running any code that the file might name."""
+"""Load a network from a checkpoint without executing code from it."""
 
 from __future__ import annotations
 
@@ -122,7 +122,7 @@ def _read_file(path: Path) -> tuple[CheckpointInfo, dict[str, torch.Tensor]]:
         )
     if not path.is_file():
         raise CheckpointError(f"{path}: no such checkpoint: train one with launch/train.py, or correct the path")
-    content = stored(path)
+    content = read_checkpoint(path)
     state = content.get("state_dict")
     if not isinstance(state, dict) or not all(isinstance(x, torch.Tensor) for x in state.values()):
         raise CheckpointError(f"{path}: holds no weights: give a checkpoint written by launch/train.py")
@@ -130,8 +130,8 @@ def _read_file(path: Path) -> tuple[CheckpointInfo, dict[str, torch.Tensor]]:
     return _info(content[CHECKPOINT_KEY], path), weights
 
 
-def stored(path: Path, **how: Any) -> dict[str, Any]:
-    """What a checkpoint that Lightning wrote holds; no code in it is run.
+def read_checkpoint(path: Path, **how: Any) -> dict[str, Any]:
+    """The content of a checkpoint written by Lightning; no code in it is executed.
 
     Args:
         how: further arguments of torch.load.

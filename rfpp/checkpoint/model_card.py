@@ -1,4 +1,4 @@
-"""What a folder with a network says to people."""
+"""Model cards."""
 
 from __future__ import annotations
 

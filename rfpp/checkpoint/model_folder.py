@@ -1,4 +1,4 @@
-"""Networks as folders: config.json and model.safetensors, ours or the released RenderFormer's, here or on the hub."""
+"""Model folders: config.json and model.safetensors, ours or RenderFormer's, on disk or on the Hugging Face hub."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The published RenderFormer checkpoints: their layout → our parts.
+"""Convert the released RenderFormer checkpoints to our layout.
 
 Layout: github.com/microsoft/renderformer (MIT), RenderFormer V1 base and V1.1 swin large.
 """

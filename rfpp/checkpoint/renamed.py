@@ -1,4 +1,4 @@
-"""Parts of networks that had another name, or lay elsewhere, when a checkpoint was written."""
+"""Old `_target_` paths of renamed and moved classes, as stored in checkpoints."""
 
 from __future__ import annotations
 

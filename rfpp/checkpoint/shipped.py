@@ -1,4 +1,4 @@
-"""Trained networks that come with the project, by their names."""
+"""Trained networks shipped with the project, by name."""
 
 from __future__ import annotations
 

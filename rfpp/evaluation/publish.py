@@ -1,4 +1,4 @@
-"""A checkpoint and its evaluations → the folder that others load, with a card that says what it was measured at.
+"""Publish a checkpoint as a model folder, with its evaluations in the model card.
 
 python -m rfpp.evaluation.publish data/runs/quickstart/latest data/models/mine
 """
@@ -12,7 +12,8 @@ from pathlib import Path
 
 from rfpp.checkpoint.loading import CheckpointInfo
 from rfpp.errors import UserError
-from rfpp.evaluation.measuring.evaluation_file import Evaluation, read_evaluations
+from rfpp.evaluation.measuring.evaluation_collection import read_evaluations
+from rfpp.evaluation.measuring.evaluation_file import Evaluation
 from rfpp.evaluation.measuring.number_text import interval_text, number_text
 from rfpp.evaluation.measuring.records import MODEL
 from rfpp.inference.renderer import Renderer

@@ -1,4 +1,4 @@
-"""Results where they belong: in the training run that made the checkpoint."""
+"""Log results to the training run that made the checkpoint."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The radiance of picture files: linear as EXR has it, or undone from the sRGB curve of 8 bits."""
+"""Read radiance from image files: linear from EXR, or decoded from 8-bit sRGB."""
 
 from __future__ import annotations
 

@@ -7,7 +7,7 @@ named "RGB" is what image viewers show. Compression is ZIP, which is lossless.
 from __future__ import annotations
 
 import io
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -82,7 +82,7 @@ def _storable(name: str, layer: np.ndarray) -> np.ndarray:
 
 
 @contextmanager
-def _opened(data: bytes, source: str):
+def _opened(data: bytes, source: str) -> Iterator[OpenEXR.File]:
     """The parsed file; damaged data appears to the library as an exception or as a file without parts."""
     try:
         file = OpenEXR.File(io.BytesIO(data))

@@ -1,4 +1,4 @@
-"""Pictures for people: radiance as 8-bit sRGB, everything else in false colours, labelled sheets, and PNG files."""
+"""Pictures to look at: 8-bit sRGB, false colours, labelled sheets and PNG files."""
 
 from __future__ import annotations
 

@@ -30,7 +30,7 @@ def perceptual(radiance: Float[Tensor, "*shape"]) -> Float[Tensor, "*shape"]:
 
 def exposed(radiance: Float[Tensor, "*shape"], stops: float) -> Float[Tensor, "*shape"]:
     """Radiance after a change of exposure: one stop doubles it."""
-    return radiance * 2.0**stops
+    return radiance * float(2.0**stops)
 
 
 def srgb(linear: Float[Tensor, "*shape"]) -> Float[Tensor, "*shape"]:

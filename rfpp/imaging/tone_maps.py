@@ -120,11 +120,13 @@ class AgX(ToneMap):
 def _drawn_to_white(share: float) -> Float[np.ndarray, "3 3"]:
     """Linear Rec. 709 → the same light in primaries whose distances from white are smaller by a share, [out, in]."""
     primaries, white = np.array([[0.64, 0.33], [0.30, 0.60], [0.15, 0.06]]), np.array([0.3127, 0.3290])
-    return np.linalg.inv(_to_xyz(primaries, white)) @ _to_xyz(white + (primaries - white) * (1 - share), white)
+    return np.asarray(
+        np.linalg.inv(_to_xyz(primaries, white)) @ _to_xyz(white + (primaries - white) * (1 - share), white)
+    )
 
 
 def _to_xyz(primaries: Float[np.ndarray, "3 2"], white: Float[np.ndarray, " 2"]) -> Float[np.ndarray, "3 3"]:
     """RGB → XYZ of primaries and a white point given as (x, y); RGB (1, 1, 1) is white with Y = 1."""
     x, y, z = np.stack([*np.vstack([primaries, white]).T, 1 - np.vstack([primaries, white]).sum(axis=1)])
     directions = np.stack([x, y, z]) / y
-    return directions[:, :3] * np.linalg.solve(directions[:, :3], directions[:, 3])
+    return np.asarray(directions[:, :3] * np.linalg.solve(directions[:, :3], directions[:, 3]))

@@ -1,1 +1,1 @@
-"""What training minimises, and what gets worse when a part of a network is taken away."""
+"""Training losses, and error growth when parts of a network are disabled."""

@@ -1,4 +1,4 @@
-"""What gets worse when a part of a network is taken away? Parts that do nothing look like all others."""
+"""Ablate parts of a trained network to find those it does not use."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from rfpp.batch import RaggedBatch
 from rfpp.losses.radiance import log_l1
 from rfpp.model.renderformer_pp import RenderFormerPP
 from rfpp.model.tokenizer import SceneTokens
-from rfpp.packed_cells import LIGHT
+from rfpp.packed_cells import LIGHT, PackedCells
 
 #: The scene tokens of another scene in place of its own; they keep their places, and the light they start with.
 EXCHANGED_TOKENS = "exchanged_tokens"
@@ -41,6 +41,7 @@ def impaired(
     images = {EXCHANGED_TOKENS: view(replace(tokens, features=donor[rows].to(tokens.features)))}
     if tokens.cells is not None:
         cells = tokens.cells
+        assert isinstance(cells, PackedCells)  # not lit yet
         order = _within_scenes(cells.scenes.index)
         dealt = replace(cells, **{name: getattr(cells, name)[order] for name in LIGHT})
         images[PERMUTED_LIGHT] = view(replace(tokens, cells=dealt))
@@ -61,7 +62,7 @@ class ErrorGrowth:
     The first scene has no other's tokens to be given, and is left out.
     """
 
-    def __init__(self):
+    def __init__(self) -> None:
         self._donor: Tensor | None = None
         self._errors: dict[str, list[Tensor]] = defaultdict(list)
 
@@ -71,6 +72,7 @@ class ErrorGrowth:
         Args:
             as_it_is: log10(1 + radiance) that the network gives.
         """
+        assert batch.image is not None
         if self._donor is not None:
             images = {"": as_it_is, **impaired(network, batch, self._donor)}
             for what, image in images.items():

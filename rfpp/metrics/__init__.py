@@ -1,1 +1,1 @@
-"""How images are judged, and trivial baselines to judge them by."""
+"""Image metrics, and trivial baselines to compare with."""

@@ -1,4 +1,4 @@
-"""Trivial predictors, to be read beside every learned result: what is a number worth that black also reaches?
+"""Trivial baselines for comparison with learned results.
 
 All are fitted on training views and predict linear radiance from what the G-buffer holds (`CHANNELS`).
 """
@@ -71,11 +71,12 @@ class MeanImage(Baseline):
     name = "mean image"
 
     def fit(self, samples: Iterable[tuple[Mapping[str, Images], Images]]) -> MeanImage:
-        total, count = 0.0, 0
+        total: Tensor | float = 0.0
+        count = 0
         for _, image in samples:
             total = total + log_encode(image.double()).sum(dim=0)
             count += len(image)
-        self.image = log_decode(total / count).float()  # [3, h, w]
+        self.image = log_decode(torch.as_tensor(total / count)).float()  # [3, h, w]
         return self
 
     def predict(self, gbuffer: Mapping[str, Images]) -> Images:
@@ -120,4 +121,4 @@ def _minimiser(albedo: Tensor, target_log: Tensor, low: float, high: float) -> f
         losses = [(log_encode(10**e * albedo) - target_log).abs().mean().item() for e in exponents]
         best = min(range(len(losses)), key=losses.__getitem__)
         low, high = exponents[max(best - 1, 0)], exponents[min(best + 1, len(exponents) - 1)]
-    return 10 ** exponents[best]
+    return float(10 ** exponents[best])

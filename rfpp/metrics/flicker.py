@@ -1,4 +1,4 @@
-"""Flicker: how much a predicted film changes from frame to frame where the path-traced one does not, or otherwise."""
+"""Flicker: error of the frame-to-frame changes of a predicted film."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def flicker(predictions: Frames, references: Frames) -> float:
         predictions, references: linear radiance of the same frames, in order; read two at a time.
     """
     error = change = 0.0
-    frames = zip(map(_shown, predictions), map(_shown, references), strict=True)
+    frames = zip(map(_tone_mapped, predictions), map(_tone_mapped, references), strict=True)
     for (prediction, reference), (next_prediction, next_reference) in pairwise(frames):
         moved = next_reference - reference
         error += np.abs((next_prediction - prediction) - moved).sum(dtype=np.float64)
@@ -36,5 +36,5 @@ def flicker(predictions: Frames, references: Frames) -> float:
         return float(np.divide(error, change))
 
 
-def _shown(radiance: Float[np.ndarray, "h w 3"]) -> Float[np.ndarray, "h w 3"]:
+def _tone_mapped(radiance: Float[np.ndarray, "h w 3"]) -> Float[np.ndarray, "h w 3"]:
     return perceptual(torch.from_numpy(np.asarray(radiance, dtype=np.float32))).numpy()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from importlib import import_module
 from types import ModuleType
 
 import numpy as np
@@ -41,7 +42,6 @@ def flip(prediction: Float[np.ndarray, "h w 3"], reference: Float[np.ndarray, "h
 def flip_library() -> ModuleType:
     """The library that `flip` needs. Raises MissingDependencyError."""
     try:
-        import flip_evaluator
+        return import_module("flip_evaluator")
     except ImportError as error:
         raise MissingDependencyError(f"FLIP needs its library ({error}): pip install 'rfpp[evaluation]'") from None
-    return flip_evaluator

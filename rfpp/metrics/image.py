@@ -5,7 +5,7 @@ What each metric is, which way it improves, and which tone map and epsilon it us
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 
@@ -26,6 +26,7 @@ TONE_MAP = "clamp(log2(1 + I), 0, 1)"
 
 Images = Float[Tensor, "n 3 h w"]
 PerImage = Float[Tensor, " n"]
+Function = Callable[[Images, Images], PerImage]
 
 
 @dataclass(frozen=True)
@@ -98,6 +99,7 @@ def ssim(prediction: Images, reference: Images) -> PerImage:
     similarity = structural_similarity_index_measure(
         perceptual(prediction), perceptual(reference), data_range=1.0, reduction="none"
     )
+    assert isinstance(similarity, Tensor)  # a pair where the full image is asked for
     return similarity.reshape(len(prediction))
 
 
@@ -107,7 +109,8 @@ def gradient(prediction: Images, reference: Images) -> PerImage:
     ∂ is the difference of neighbours, along rows and along columns; the two means are averaged.
     """
     difference = perceptual(prediction) - perceptual(reference)
-    return sum(difference.diff(dim=dim).abs().flatten(1).mean(dim=1) for dim in (-2, -1)) / 2
+    rows, columns = (difference.diff(dim=dim).abs().flatten(1).mean(dim=1) for dim in (-2, -1))
+    return (rows + columns) / 2
 
 
 class ImageMetrics:
@@ -120,7 +123,7 @@ class ImageMetrics:
 
     def __init__(self, lpips: LPIPS | None, detailed: bool = False) -> None:
         self.detailed = detailed
-        self._functions = {"log_l1": log_l1, "l1": l1, "mape": mape, "ssim": ssim, "psnr": psnr}
+        self._functions: dict[str, Function] = {"log_l1": log_l1, "l1": l1, "mape": mape, "ssim": ssim, "psnr": psnr}
         if lpips is not None:
             self._functions["lpips"] = lambda x, y: lpips(2 * perceptual(x) - 1, 2 * perceptual(y) - 1)
         if detailed:
@@ -138,4 +141,8 @@ class ImageMetrics:
         with torch.autocast(prediction.device.type, enabled=False):
             x, y = prediction.float(), reference.float()
             values = {name: self._functions[name](x, y) for name in self.names}
-            return values | l1_parts(x, y, gbuffer) if self.detailed else values
+            if not self.detailed:
+                return values
+            if gbuffer is None:
+                raise ValueError("detailed metrics read a G-buffer, see l1_parts")
+            return values | l1_parts(x, y, gbuffer)

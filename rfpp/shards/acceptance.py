@@ -1,4 +1,4 @@
-"""What makes a view worth rendering: it sees enough, and light reaches what it sees. Checked before any rendering."""
+"""Reject views that see too little or too little light, before rendering them."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from rfpp.errors import UserError
 from rfpp.gbuffer.direct_light import direct_radiance
 from rfpp.scene.camera import camera_to_world
 from rfpp.scene.spec import Camera
-from rfpp.shards.scene_rays import Stage
+from rfpp.shards.scene_rays import SceneRays
 
 #: Why a view is refused, as the index and the manifest count it.
 EMPTY, UNLIT = "empty_views", "unlit_views"
@@ -47,7 +47,7 @@ class Acceptance:
                 raise UserError(f"data.acceptance.{field.name} is {value}: use {int(field.type == 'int')} or more")
 
     def cameras(
-        self, stage: Stage, draw: Callable[[int], tuple[Camera, ...]], refused: Counter[str]
+        self, rays: SceneRays, draw: Callable[[int], tuple[Camera, ...]], refused: Counter[str]
     ) -> tuple[Camera, ...] | None:
         """The first good one of each camera's draws, or None if one has none.
 
@@ -61,7 +61,7 @@ class Acceptance:
             for view, camera in enumerate(cameras):
                 if view in accepted:
                     continue
-                if reason := self.objection(stage, camera):
+                if reason := self.objection(rays, camera):
                     refused[reason] += 1
                 else:
                     accepted[view] = camera
@@ -69,13 +69,13 @@ class Acceptance:
                 return tuple(accepted[view] for view in range(len(cameras)))
         return None
 
-    def objection(self, stage: Stage, camera: Camera) -> str | None:
+    def objection(self, rays: SceneRays, camera: Camera) -> str | None:
         """EMPTY or UNLIT, or None for a good view."""
         c2w = camera_to_world(camera)
-        seen = stage.first_hit(c2w, camera.fov, self.resolution)
+        seen = rays.first_hit(c2w, camera.fov, self.resolution)
         if not seen.hit.any() or seen.hit.mean() < self.min_coverage:
             return EMPTY
-        lit = stage.lit(seen, c2w, camera.fov, self.light_samples, seed=0)
+        lit = rays.lit(seen, c2w, camera.fov, self.light_samples, seed=0)
         reached = lit.light.diffuse.any(axis=-1)[lit.hit].mean() >= self.min_lit
-        bright = direct_radiance(lit, stage.triangles.material).mean() >= self.min_radiance
+        bright = direct_radiance(lit, rays.triangles.material).mean() >= self.min_radiance
         return None if reached and bright else UNLIT

@@ -1,4 +1,4 @@
-"""A bounded folder of fetched files that any number of processes share."""
+"""A size-bounded cache folder for downloaded files, shared between processes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Samples on their way into a shard: one file each, so that nothing that was rendered is ever lost."""
+"""A shard in progress: one file per finished sample, so that interruptions lose nothing."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Reading: random access to the samples of plain tars."""
+"""Random access to samples in plain tar files."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Samples as files for other tools: RenderFormer's JSON with meshes, its H5, and EXR images for people.
+"""Export samples as RenderFormer JSON or H5, or as EXR images.
 
 Every function writes into a folder, under the name of the sample, and returns the paths.
 """

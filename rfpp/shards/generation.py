@@ -1,4 +1,4 @@
-"""Making a data set: scene by scene into waiting samples, shard by shard out of them, resumable at any moment.
+"""Generate a data set, resumable at any time.
 
 Every sample is a pure function of its task and the settings (`rfpp.shards.recipe`): whoever makes it, on however many
 workers or machines, in whatever order, gets the same bytes.

@@ -1,4 +1,4 @@
-"""The index beside each shard: what its tar holds, sample by sample."""
+"""Shard indices: offset, size and hash of every sample."""
 
 from __future__ import annotations
 

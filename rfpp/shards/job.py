@@ -1,4 +1,4 @@
-"""Making one sample: draw a scene, check what its cameras see and how it is lit, render, pack."""
+"""Make one sample: draw a scene, check its views, render, pack."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from rfpp.scene.triangles import SceneTriangles
 from rfpp.shards import tar
 from rfpp.shards.acceptance import EMPTY, UNLIT, Acceptance
 from rfpp.shards.sample import SceneSample, encode
-from rfpp.shards.scene_rays import Stage
+from rfpp.shards.scene_rays import SceneRays
 
 #: Part of every seed: never renumber. `train_newviews` shows training scenes to other cameras.
 SPLIT_CODES = {"train": 0, "train_newviews": 1, "test": 2, "validation": 3}
@@ -138,13 +138,13 @@ class SceneJob:
     def __call__(self, task: SceneTask) -> MadeScene:
         """Draw until the views are good, then render. Raises SceneError when the attempts run out."""
         refused: Counter[str] = Counter()
-        attempt, stage, cameras = self._accepted(
+        attempt, rays, cameras = self._accepted(
             task, task.scene_split, range(self.data.acceptance.scene_attempts), refused
         )
         if task.split != task.scene_split:  # the scene is the one that was accepted there; its new views count here
             refused.clear()
-            attempt, stage, cameras = self._accepted(task, task.split, [attempt], refused)
-        triangles, (c2w, fov) = stage.triangles, poses(cameras)
+            attempt, rays, cameras = self._accepted(task, task.split, [attempt], refused)
+        triangles, (c2w, fov) = rays.triangles, poses(cameras)
         images = self._render(task, attempt, triangles, c2w, fov)
         light = self._seed(task.split, task.index, "light", attempt)
         redraws = {"scene_redraws": attempt, EMPTY: refused[EMPTY], UNLIT: refused[UNLIT]}
@@ -154,23 +154,23 @@ class SceneJob:
             c2w=c2w,
             fov=fov,
             images=images,
-            gbuffers=stage.gbuffers(c2w, fov, self.data.resolution, self.data.light_samples, light),
-            object_light=stage.object_light(),
-            cells=stage.cells,
+            gbuffers=rays.gbuffers(c2w, fov, self.data.resolution, self.data.light_samples, light),
+            object_light=rays.object_light(),
+            cells=rays.cells,
             meta=self._meta(task, cameras, redraws),
         )
         return MadeScene(tar.pack(task.key, encode(sample)), len(triangles), triangles.num_objects, **redraws)
 
     def _accepted(
         self, task: SceneTask, split: str, attempts: Iterable[int], refused: Counter[str]
-    ) -> tuple[int, Stage, tuple[Camera, ...]]:
+    ) -> tuple[int, SceneRays, tuple[Camera, ...]]:
         """The first of these draws of the scene whose views, as `split` shows them, are all good, and those views."""
         for attempt in attempts:
             rngs = self._rngs(task, split, attempt, camera_attempt=0)
-            stage = Stage(SceneTriangles.from_scene(self.family.sample(*rngs, held_out=task.scene_split == "test")))
-            cameras = self.data.acceptance.cameras(stage, partial(self._cameras, task, split, attempt), refused)
+            rays = SceneRays(SceneTriangles.from_scene(self.family.sample(*rngs, held_out=task.scene_split == "test")))
+            cameras = self.data.acceptance.cameras(rays, partial(self._cameras, task, split, attempt), refused)
             if cameras is not None:
-                return attempt, stage, cameras
+                return attempt, rays, cameras
         acceptance = self.data.acceptance
         raise SceneError(
             f"{task.key}: no acceptable views in {acceptance.scene_attempts} scenes x {acceptance.camera_attempts} "

@@ -1,4 +1,4 @@
-"""Several data sets as one, such as the two halves of the paper's training data."""
+"""Concatenate data sets, such as the two halves of the paper's training data."""
 
 from __future__ import annotations
 

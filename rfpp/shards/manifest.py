@@ -1,4 +1,4 @@
-"""The manifest: what a complete data set on disk consists of."""
+"""Manifests of complete data sets."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The order in which training meets its samples: a function of seed and epoch, computed as far as it is needed."""
+"""Training order: a lazily computed function of seed and epoch."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Pictures of scenes and samples: what `launch/generate.py` shows of a data set, and of one that is yet to be made."""
+"""Preview pictures of scenes and stored samples."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from rfpp.scene.packed import PackedScene, pack
 from rfpp.scene.spec import Scene
 from rfpp.scene.triangles import SceneTriangles
 from rfpp.shards.sample import SceneSample
-from rfpp.shards.scene_rays import Stage
+from rfpp.shards.scene_rays import SceneRays
 
 #: Light from everywhere that stands in for all bounces after the first on contact sheets.
 _AMBIENT = 0.08
@@ -73,8 +73,8 @@ def with_ambient(gbuffer: GBuffer, ambient: float) -> GBuffer:
 
 
 def _preview(scene: PackedScene, resolution: int) -> UInt8[np.ndarray, "h w 3"]:
-    pose, fov, stage = scene.c2w[0], scene.fov[0], Stage(scene.triangles)
-    lit = stage.lit(stage.first_hit(pose, fov, resolution), pose, fov, _LIGHT_SAMPLES, seed=0)
+    pose, fov, rays = scene.c2w[0], scene.fov[0], SceneRays(scene.triangles)
+    lit = rays.lit(rays.first_hit(pose, fov, resolution), pose, fov, _LIGHT_SAMPLES, seed=0)
     return panels.tone_mapped(direct_radiance(with_ambient(lit, _AMBIENT), scene.triangles.material))
 
 

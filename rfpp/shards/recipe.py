@@ -1,4 +1,4 @@
-"""What a data set consists of before any of it is made: its settings, its samples, and who makes which."""
+"""The plan of a data set: settings, samples, shards and slices."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""RenderFormer's H5 training files as a data set: a recipe whose samples are files instead of random scenes.
+"""Import RenderFormer's H5 training files as a data set.
 
 Images come from the files; G-buffers and their direct light from our caster. A sample is a pure function of its file;
 the names of all files say into which split it falls.
@@ -21,7 +21,7 @@ from rfpp.shards.export import look_at
 from rfpp.shards.job import DatasetSettings, MadeScene, SceneTask
 from rfpp.shards.recipe import Recipe, fingerprint_of
 from rfpp.shards.sample import SCHEMA_VERSION, SceneSample, encode
-from rfpp.shards.scene_rays import Stage
+from rfpp.shards.scene_rays import SceneRays
 
 
 @dataclass(frozen=True)
@@ -149,10 +149,10 @@ class ImportJob:
             "cameras": [look_at(*view).model_dump(mode="json") for view in zip(scene.c2w, scene.fov, strict=True)],
         }
         seed = np.random.SeedSequence(int.from_bytes(digest.digest()))
-        stage = Stage(scene.triangles)
-        gbuffers = stage.gbuffers(scene.c2w, scene.fov, images.shape[1], self.light_samples, seed)
+        rays = SceneRays(scene.triangles)
+        gbuffers = rays.gbuffers(scene.c2w, scene.fov, images.shape[1], self.light_samples, seed)
         sample = SceneSample(
-            task.key, scene.triangles, scene.c2w, scene.fov, images, gbuffers, stage.object_light(), stage.cells, meta
+            task.key, scene.triangles, scene.c2w, scene.fov, images, gbuffers, rays.object_light(), rays.cells, meta
         )
         try:
             blocks = tar.pack(task.key, encode(sample))

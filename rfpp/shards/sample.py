@@ -1,4 +1,4 @@
-"""One scene as one sample: what is stored, under which key, in which precision.
+"""The sample format: keys, contents and precision.
 
 `data/README.md` lists the members for people; `encode` and `decode` are the definition.
 """

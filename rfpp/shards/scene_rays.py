@@ -1,4 +1,4 @@
-"""A scene ready for casting rays, before and after its cameras are chosen."""
+"""Cast all rays of a stored scene: G-buffers, direct light, reflections and cells."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from rfpp.gbuffer.object_light import object_light
 from rfpp.scene.triangles import SceneTriangles
 
 
-class Stage:
+class SceneRays:
     """What cameras can see of a scene, and its lights.
 
     Attributes:

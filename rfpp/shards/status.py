@@ -1,4 +1,4 @@
-"""How far a data set is: counted from what lies in its folder."""
+"""Progress of a data set, counted from its folder."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where a data set lies: in a folder, or behind a URL."""
+"""Storage of a data set: a local folder or a URL."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One sample ↔ its blocks in a tar file. Equal members give equal bytes: no clock, no owner."""
+"""Pack and unpack samples as tar blocks; equal members give equal bytes."""
 
 from __future__ import annotations
 

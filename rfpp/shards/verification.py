@@ -1,4 +1,4 @@
-"""Whether a data set is what its manifest says: every byte hashed again, every sample decoded."""
+"""Verify a data set: check every hash and decode every sample."""
 
 from __future__ import annotations
 

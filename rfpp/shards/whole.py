@@ -1,4 +1,4 @@
-"""Does a sample that was read fit together? Hashes say only that it is what somebody wrote."""
+"""Consistency checks of decoded samples, which hashes cannot provide."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Writing: a shard appears whole under its name, then its index; half of one never passes for finished."""
+"""Write shards atomically: first the tar, then its index."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""Training with Lightning; it and MLflow live here and nowhere else."""
+"""Training with Lightning and MLflow, which no other folder imports."""

@@ -1,4 +1,4 @@
-"""Time and memory of a network's transformer blocks: compiled, or their activations computed twice."""
+"""Compilation and activation checkpointing of transformer blocks."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The files a run goes on from: written whole or not at all, and read back only when sound."""
+"""Checkpoint files: written atomically, validated before resuming."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from typing import Any
 import torch
 from lightning.pytorch.plugins.io import TorchCheckpointIO
 
-from rfpp.checkpoint.loading import CHECKPOINT_KEY, stored
+from rfpp.checkpoint.loading import CHECKPOINT_KEY, read_checkpoint
 from rfpp.checkpoint.renamed import with_current_names
 from rfpp.errors import CheckpointError
 from rfpp.files import write_atomically
@@ -105,7 +105,7 @@ def find_defect(path: Path) -> str | None:
 
 
 def _check_same_network(path: Path, model: dict[str, Any]) -> None:
-    about = stored(path, mmap=True)[CHECKPOINT_KEY]
+    about = read_checkpoint(path, mmap=True)[CHECKPOINT_KEY]
     if not isinstance(about, dict) or with_current_names(about.get("model")) != model:
         raise CheckpointError(
             f"{path}: of another network than this command's `model`: give its settings, or start in another run_dir"

@@ -1,4 +1,4 @@
-"""What a command was told, beside what it wrote."""
+"""Save a command's resolved configuration beside its output."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which device computes which scenes of a global batch.
+"""Distribute the scenes of a global batch over devices.
 
 Any dealing gives the same step: devices get equally many scenes, their gradients are averaged, and what is seen of a
 scene depends on seed, epoch and scene alone. It decides only how long they wait for each other.

@@ -1,4 +1,4 @@
-"""How many floating-point operations a network needs, and how many its device can do."""
+"""Floating-point operations of a network and peak rate of its device."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From a dataset of scenes to batches, and what is done about scenes that cannot be read."""
+"""Data loaders, and handling of unreadable scenes."""
 
 from __future__ import annotations
 

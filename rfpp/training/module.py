@@ -1,4 +1,4 @@
-"""The LightningModule: one network, one loss, and what is logged of them."""
+"""The LightningModule: network, loss and logging."""
 
 from __future__ import annotations
 

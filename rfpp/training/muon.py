@@ -1,4 +1,4 @@
-"""Muon for the matrices of hidden layers, AdamW for all else, as one optimizer."""
+"""Muon for hidden matrices and AdamW for everything else, as one optimizer."""
 
 from __future__ import annotations
 

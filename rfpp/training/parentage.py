@@ -1,4 +1,4 @@
-"""Loader processes end with the training that started them, however it ends."""
+"""End loader processes when their training process ends."""
 
 from __future__ import annotations
 

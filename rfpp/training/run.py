@@ -1,4 +1,4 @@
-"""A training run's folder, and what is said when it starts."""
+"""A training run's folder and start summary."""
 
 from __future__ import annotations
 

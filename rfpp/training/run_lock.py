@@ -1,4 +1,4 @@
-"""One process writes a run: two at once would log every step twice and overwrite each other's checkpoints."""
+"""Lock a run's folder so that only one process writes to it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Signals that ask training to stop are remembered, from the first moment on.
+"""Remember stop signals from process start.
 
 This imports nothing that takes long, so that launch/train.py can watch before it imports what does.
 """

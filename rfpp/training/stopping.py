@@ -1,4 +1,4 @@
-"""Being told to stop: signals are remembered (rfpp/training/signals.py), and all ranks act on them together."""
+"""Stop training on a signal (rfpp/training/signals.py), on all ranks at the same step."""
 
 from __future__ import annotations
 

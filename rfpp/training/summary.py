@@ -1,4 +1,4 @@
-"""What is said when training ends."""
+"""The summary printed when training ends."""
 
 from __future__ import annotations
 

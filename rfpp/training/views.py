@@ -1,4 +1,4 @@
-"""From a stored scene to what a training step sees of it: some of its views, moved rigidly at random."""
+"""Training views of stored scenes, with rigid and colour augmentation."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from rfpp.training.dealing import Dealing
 
 @dataclass(frozen=True)
 class RigidAugmentation:
-    """Moves scene and cameras together: the images, and the G-buffers in camera space, stay as they are.
+    """Moves scene and cameras together; images and camera-space G-buffers do not change.
 
     RSPE makes the network indifferent to translations but not to rotations (RenderFormer trains so too).
 
@@ -57,7 +57,7 @@ def moved(views: SceneViews, rotation: np.ndarray, translation: np.ndarray) -> S
 
 
 class ColourPermutation:
-    """Red, green and blue trade places everywhere at once: they do not mix, so the image's do the same.
+    """Permutes red, green and blue in materials, lights and images; light transport treats channels alike.
 
     Not in the paper, whose data set is two thousand times quickstart's.
     """

@@ -1,4 +1,4 @@
-"""A picture and its path-traced reference in one."""
+"""Compare a picture with its path-traced reference: wipe or side by side."""
 
 from __future__ import annotations
 

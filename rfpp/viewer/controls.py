@@ -1,4 +1,4 @@
-"""The controls beside the image: what is looked at, objects and lights, the reference, and what is saved."""
+"""The viewer's controls: layer, objects, lights, reference and export."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from rfpp.scene.packed import PackedScene, pack
 from rfpp.scene.spec import Camera, Scene, SceneObject
 from rfpp.viewer.comparison import COMPARISONS
 from rfpp.viewer.edits import moved, power, quaternion, remade, replaced, shining, tint, turned
-from rfpp.viewer.layers import Shown
+from rfpp.viewer.layers import Layer
 from rfpp.viewer.picked_colour import from_picker, to_picker
 from rfpp.viewer.received import choice, colour, number, vector
 from rfpp.viewer.reference import PathTracer, Reference
@@ -37,14 +37,14 @@ _HANDLE_SIZE = 0.2  # world units
 def add_view(
     gui: viser.GuiApi,
     session: Session,
-    shown: Mapping[str, Shown],
+    layers: Mapping[str, Layer],
     tone_maps: ToneMaps,
     cameras: tuple[Camera, ...],
     stand_at: Callable[[Camera], None],
 ) -> None:
     """What is shown, how bright, how large, and the scene's cameras."""
     with gui.add_folder("View"):
-        what = gui.add_dropdown("Show", tuple(shown))
+        what = gui.add_dropdown("Show", tuple(layers))
         tone_map = gui.add_dropdown("Tone map", tuple(tone_maps))
         stops = gui.add_slider("Exposure (stops)", min=-6.0, max=6.0, step=0.1, initial_value=0.0)
         patch = session.pacing.patch
@@ -53,7 +53,7 @@ def add_view(
         names = tuple(f"camera {i}" for i in range(len(cameras)))
         where = gui.add_button_group("Go to", names)
 
-    what.on_update(lambda _: session.change(shown=shown[choice(what)]))
+    what.on_update(lambda _: session.change(layer=layers[choice(what)]))
     side.on_update(lambda _: session.change(longer_side=round(number(side))))
     for handle in (tone_map, stops):
         handle.on_update(lambda _: session.change(tone_map=tone_maps[choice(tone_map)](stops=number(stops))))

@@ -1,4 +1,4 @@
-"""Scenes after an edit: an object that was moved or made of something else, a light of another power or colour."""
+"""Scene edits: transforms, materials and lights."""
 
 from __future__ import annotations
 

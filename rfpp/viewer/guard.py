@@ -1,4 +1,4 @@
-"""Who may use the viewer: pages that it served itself, opened by an address of this machine.
+"""Access control: only pages that the viewer served itself, opened by an address of this machine.
 
 Any web page can make its visitors' browsers send requests to 127.0.0.1. Such a request tells on itself: by an `Origin`
 that is not ours or, where the page's own name was made to point here (DNS rebinding), by a `Host` that is that name.

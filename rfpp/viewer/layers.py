@@ -1,4 +1,4 @@
-"""What can be looked at: the image, the light after each transport, and the G-buffers."""
+"""Layers of the viewer: the image, the light after each transport, and the G-buffers."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Picture = UInt8[np.ndarray, "h w 3"]
 Size = tuple[int, int]
 
 
-class Shown(ABC):
+class Layer(ABC):
     """A kind of picture, of a scene with one camera."""
 
     @abstractmethod
@@ -33,7 +33,7 @@ class Shown(ABC):
 
 
 @dataclass(frozen=True)
-class Rendered(Shown):
+class Rendered(Layer):
     """What the network renders.
 
     Attributes:
@@ -49,7 +49,7 @@ class Rendered(Shown):
 
 
 @dataclass(frozen=True)
-class Mixed(Shown):
+class Mixed(Layer):
     """What a network renders that is linear in lights: those are dimmed and coloured without running it again."""
 
     mixer: LightMixer
@@ -62,7 +62,7 @@ class Mixed(Shown):
 
 
 @dataclass(frozen=True)
-class Channel(Shown):
+class Channel(Layer):
     """A G-buffer."""
 
     name: str
@@ -86,7 +86,7 @@ def channel_picture(values: Float[np.ndarray, "c h w"], name: str, tone_map: Ton
     return np.where(hit, np.clip(127.5 * (pixels + 1), 0, 255), 0).astype(np.uint8)
 
 
-def everything(renderer: Renderer) -> dict[str, Shown]:
+def layers_of(renderer: Renderer) -> dict[str, Layer]:
     """By the names that people choose from."""
     transports = renderer.network.iterations
     image = Mixed(LightMixer(renderer)) if renderer.network.linear_in_lights else Rendered(renderer)

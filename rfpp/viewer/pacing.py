@@ -1,4 +1,4 @@
-"""How large an image may be that is wanted soon."""
+"""Choose the interactive resolution from recent frame times."""
 
 from __future__ import annotations
 

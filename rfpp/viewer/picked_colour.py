@@ -1,4 +1,4 @@
-"""Colours of a picker, eight bits in sRGB, and linear ones."""
+"""Convert between 8-bit sRGB of colour pickers and linear colours."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Values of controls as they may be: a browser can send anything, whatever its page offers."""
+"""Validate control values sent by the browser."""
 
 from __future__ import annotations
 

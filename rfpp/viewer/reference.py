@@ -1,4 +1,4 @@
-"""Path-traced images, made in the background while the viewer goes on."""
+"""Path-trace references in the background."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ from rfpp.scene.packed import PackedScene
 from rfpp.scene.spec import Camera, Scene
 from rfpp.viewer.controls import ObjectControls, ToneMaps, add_reference, add_saving, add_view
 from rfpp.viewer.guard import guarded
-from rfpp.viewer.layers import everything
+from rfpp.viewer.layers import layers_of
 from rfpp.viewer.reference import PathTracer
 from rfpp.viewer.session import Drawn, Session, View
 from rfpp.viewer.window import aspect_of, camera_of, cameras_of, stand_at
@@ -71,11 +71,11 @@ class Viewer:
 
     @property
     def url(self) -> str:
-        """Where the page is."""
+        """Address of the page."""
         return f"http://{self._server.get_host()}:{self._server.get_port()}"
 
     def close(self) -> None:
-        """Send everyone home."""
+        """Disconnect all visitors and stop the server."""
         for session in self._sessions.values():
             session.close()
         self._tracer.close()
@@ -90,13 +90,13 @@ class Viewer:
     def _welcome(self, client: viser.ClientHandle) -> None:
         stand_at(client, self._cameras[0], CENTRE)
         complain = partial(client.add_notification, "That cannot be rendered", color="red", auto_close_seconds=8.0)
-        shown = everything(self._renderer)
+        layers = layers_of(self._renderer)
         first_tone_map = next(iter(self._tone_maps.values()))
         view = View(
             scene=self._scene,
             camera=self._cameras[0],
             aspect=aspect_of(client),
-            shown=next(iter(shown.values())),
+            layer=next(iter(layers.values())),
             tone_map=first_tone_map(stops=0.0),
             longer_side=self._longer_side,
         )
@@ -104,7 +104,7 @@ class Viewer:
         page = _Page(client, status)
         session = Session(self._renderer, self._turn, view, page.show, complain, self._moving_seconds)
         self._sessions[client.client_id] = session
-        add_view(client.gui, session, shown, self._tone_maps, self._cameras, self._go_to(client))
+        add_view(client.gui, session, layers, self._tone_maps, self._cameras, self._go_to(client))
         if isinstance(self._scene, Scene):
             ObjectControls(client, session, self._scene, complain)
         page.tell = add_reference(client.gui, session, self._tracer, complain)
@@ -120,7 +120,7 @@ class Viewer:
 
 
 def _require_address(host: str, port: int) -> None:
-    """viser would try for ever."""
+    """Raises UserError for an address that cannot be bound; viser would retry forever."""
     if not 0 <= port <= 65535:
         raise UserError(f"port={port}: is none: choose one from 1024 to 65535")
     try:
@@ -131,7 +131,7 @@ def _require_address(host: str, port: int) -> None:
 
 
 class _Page:
-    """Where a visitor's pictures go."""
+    """A visitor's page."""
 
     def __init__(self, client: viser.ClientHandle, status: viser.GuiMarkdownHandle):
         self._client, self._status = client, status

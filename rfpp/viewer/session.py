@@ -1,4 +1,4 @@
-"""What one visitor looks at: their scene, their camera, and a thread that draws it again whenever one changes."""
+"""A visitor's session: scene, camera, and a thread that redraws on changes."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from rfpp.inference.renderer import Renderer
 from rfpp.scene.packed import PackedScene, pack
 from rfpp.scene.spec import Camera, Scene
 from rfpp.viewer.comparison import Comparison, enlarged
-from rfpp.viewer.layers import Shown
+from rfpp.viewer.layers import Layer
 from rfpp.viewer.pacing import Pacing
 from rfpp.viewer.reference import Reference
 
@@ -34,7 +34,7 @@ class View:
         scene: with the visitor's edits; its cameras do not matter.
         camera: theirs.
         aspect: width / height of their window.
-        shown: what of the scene.
+        layer: what of the scene.
         tone_map: of the picture.
         longer_side: pixels at rest.
         reference: path-traced earlier, if there is one.
@@ -45,7 +45,7 @@ class View:
     scene: Scene | PackedScene
     camera: Camera
     aspect: float
-    shown: Shown
+    layer: Layer
     tone_map: ToneMap
     longer_side: int
     reference: Reference | None = None
@@ -131,7 +131,7 @@ class Session:
         while (view := self._wanted(drawn, small)) is not None:
             full = size = self.pacing.size(view.longer_side, view.aspect)
             try:
-                if view is not drawn and not view.shown.at_once(self.packed(view), full):
+                if view is not drawn and not view.layer.at_once(self.packed(view), full):
                     size = self.pacing.moving_size(view.longer_side, view.aspect)
                 self._show(self._draw(view, size, full))
             except UserError as error:
@@ -150,8 +150,8 @@ class Session:
         with self._turn:
             before, begin = objects.encoded if objects else 0, time.perf_counter()
             scene = self.packed(view)
-            at_once = view.shown.at_once(scene, size)
-            picture = view.shown.picture(scene, size, view.tone_map)
+            at_once = view.layer.at_once(scene, size)
+            picture = view.layer.picture(scene, size, view.tone_map)
             seconds = time.perf_counter() - begin
             encoded = objects.encoded - before if objects else 0
         if not at_once:  # which says nothing of what the next one takes

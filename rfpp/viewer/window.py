@@ -1,4 +1,4 @@
-"""A visitor's window: where its camera stands, in the project's words and in viser's."""
+"""Convert between the project's cameras and viser's."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from rfpp.scene.camera import camera_to_world
 from rfpp.scene.packed import PackedScene
 from rfpp.scene.spec import Camera, Scene
 
-#: Shown until the browser has told its size.
+#: Layer until the browser has told its size.
 _SQUARE = 1.0
 
 

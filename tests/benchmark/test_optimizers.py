@@ -19,7 +19,7 @@ def data(tmp_path_factory):
 
 def run(data, output, *overrides, steps=3):
     training = [
-        "+experiment=quickstart", *SMALLEST, "size.width=54", f"data.root={data}", f"steps={steps}",
+        "experiment=quickstart", *SMALLEST, "size.width=54", f"data.root={data}", f"steps={steps}",
         "datamodule.scenes_per_step=2", "datamodule.views_per_scene=1", "schedule.warmup_steps=1",
     ]  # fmt: skip
     with initialize_config_dir(str(CONFIG_DIR), version_base="1.3"):

@@ -10,7 +10,7 @@ from rfpp.checkpoint.loading import CHECKPOINT_KEY
 
 def test_each_precision_is_compared_with_float32(tmp_path):
     data = make(tmp_path / "data", splits={"test": 3})
-    experiment = "+experiment=large_scale"
+    experiment = "experiment=large_scale"
     info = checkpoint_info(model_config(experiment), resolution=(8, 8))
     torch.save(
         {

@@ -10,7 +10,7 @@ from rfpp.commands import CONFIG_DIR
 
 def test_the_model_is_checked_here_and_asked_about_clusters(tmp_path):
     training = [
-        "+experiment=quickstart", "model=known_light", *SMALLEST, "data.resolution=16", "loss.lpips_weight=0",
+        "experiment=quickstart", "model=known_light", *SMALLEST, "data.resolution=16", "loss.lpips_weight=0",
         "datamodule.scenes_per_step=2",
     ]  # fmt: skip
     overrides = ",".join(f"'{override}'" for override in training)

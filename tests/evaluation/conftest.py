@@ -23,7 +23,7 @@ from rfpp.metrics.image import METRICS
 from rfpp.model.renderformer_pp import Rendering
 from rfpp.shards.manifest import MANIFEST_FILE, manifest_json
 from rfpp.shards.sample import SceneSample, encode
-from rfpp.shards.scene_rays import Stage
+from rfpp.shards.scene_rays import SceneRays
 from rfpp.shards.tar import pack
 from rfpp.shards.writer import ShardWriter, write_json
 
@@ -34,8 +34,8 @@ POSES = [look_at((0.9, 0.2, 0.9)), look_at((-0.3, -1.0, 0.8))]
 def _sample(key: str, seed: int, brightness: float) -> SceneSample:
     triangles = still_life(seed)
     fov = np.full(len(POSES), 45.0, np.float32)
-    stage = Stage(triangles)
-    gbuffers = stage.gbuffers(np.stack(POSES), fov, SIZE, 1, np.random.SeedSequence(0))
+    rays = SceneRays(triangles)
+    gbuffers = rays.gbuffers(np.stack(POSES), fov, SIZE, 1, np.random.SeedSequence(0))
     albedo = [stack_channels(g, triangles.material, 45.0, ["albedo"]).transpose(1, 2, 0) for g in gbuffers]
     return SceneSample(
         key=key,
@@ -44,8 +44,8 @@ def _sample(key: str, seed: int, brightness: float) -> SceneSample:
         fov=fov,
         images=(brightness * np.stack(albedo)).astype(np.float16).astype(np.float32),
         gbuffers=gbuffers,
-        object_light=stage.object_light(),
-        cells=stage.cells,
+        object_light=rays.object_light(),
+        cells=rays.cells,
         meta={},
     )
 

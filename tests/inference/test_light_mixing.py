@@ -25,7 +25,7 @@ def with_lights(power: float, colour: tuple[float, float, float]) -> PackedScene
 @pytest.fixture
 def mixer(monkeypatch):
     """One that counts the views its renderer renders, in `mixer.rendered`."""
-    renderer = Renderer(network("+experiment=quickstart"), checkpoint_info(resolution=SIZE))
+    renderer = Renderer(network("experiment=quickstart"), checkpoint_info(resolution=SIZE))
     views = renderer.views
     mixer = LightMixer(renderer)
     mixer.rendered = 0
@@ -39,7 +39,7 @@ def mixer(monkeypatch):
 
 
 def fresh(packed: PackedScene) -> np.ndarray:
-    return Renderer(network("+experiment=quickstart"), checkpoint_info(resolution=SIZE)).render(packed, SIZE)[0]
+    return Renderer(network("experiment=quickstart"), checkpoint_info(resolution=SIZE)).render(packed, SIZE)[0]
 
 
 def test_every_setting_is_a_fresh_render_and_the_network_runs_once_for_each_light(mixer):

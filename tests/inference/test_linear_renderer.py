@@ -10,7 +10,7 @@ from networks import checkpoint_info, network
 from rfpp import Renderer, Scene
 from rfpp.errors import UserError
 
-LINEAR = ("+experiment=quickstart",)
+LINEAR = ("experiment=quickstart",)
 EDITS = (dimmed, moved, reordered)
 
 
@@ -30,7 +30,7 @@ def test_twice_the_power_is_twice_the_image():
     assert not ours.render(with_power(0.0)).any()
 
 
-@pytest.mark.parametrize("overrides", [LINEAR, ("+experiment=[ablation,octant_tokens]",)], ids=["linear", "octants"])
+@pytest.mark.parametrize("overrides", [LINEAR, ("experiment=[ablation,octant_tokens]",)], ids=["linear", "octants"])
 @pytest.mark.parametrize("edit", EDITS, ids=lambda edit: edit.__name__)
 def test_an_edited_scene_looks_as_if_it_had_been_so_from_the_start(edit, overrides):
     edited, ours = edit(scene()), renderer(*overrides)
@@ -64,7 +64,7 @@ class TestLightsApart:
         np.testing.assert_allclose(mixed, renderer().render(both, light_samples=4), rtol=1e-3, atol=1e-5)
 
     def test_networks_that_are_not_linear_and_lights_that_are_not_there_are_refused(self):
-        other = Renderer(network("+experiment=quickstart", "model=known_light"), checkpoint_info(resolution=(16, 16)))
+        other = Renderer(network("experiment=quickstart", "model=known_light"), checkpoint_info(resolution=(16, 16)))
         with pytest.raises(UserError, match="no sum over lights"):
             other.render_lights(scene())
         with pytest.raises(UserError, match="light 'moon' does not exist: choose from lamp, spot"):

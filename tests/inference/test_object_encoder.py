@@ -14,7 +14,7 @@ from rfpp.batch import RaggedBatch
 from rfpp.inference.object_encoder import ObjectEncoder, object_keys
 
 #: The paper's network, and one that is given direct light and sees scenes at their exposure.
-NETWORKS = {"paper": (), "exposed": ("+experiment=quickstart", "model=known_light")}
+NETWORKS = {"paper": (), "exposed": ("experiment=quickstart", "model=known_light")}
 CPU = torch.device("cpu")
 
 

@@ -79,8 +79,8 @@ def test_networks_that_shade_no_points_know_no_supersampling(renderer, scene):
 
 COARSE = {
     "the paper's": ((), False),
-    "direct light, no positions": (("+experiment=[ablation,direct_light]",), False),
-    "known light": (("+experiment=quickstart", "model=known_light"), True),
+    "direct light, no positions": (("experiment=[ablation,direct_light]",), False),
+    "known light": (("experiment=quickstart", "model=known_light"), True),
 }
 
 

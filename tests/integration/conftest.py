@@ -28,6 +28,6 @@ def rendered_data(tmp_path_factory, composed) -> Path:
 
     root = tmp_path_factory.mktemp("rendered") / "quickstart"
     splits = "data.splits={train: 3, train_newviews: 1, validation: 1, test: 2}"
-    settings = ["+experiment=quickstart", f"data.root={root}", "data.resolution=32", "data.scenes_per_shard=4", splits]
+    settings = ["experiment=quickstart", f"data.root={root}", "data.resolution=32", "data.scenes_per_shard=4", splits]
     main.__wrapped__(composed("generate", *settings))
     return root

@@ -126,7 +126,7 @@ def test_a_damaged_shard(change, data, tmp_path, composed, refused):
     root = shutil.copytree(data, tmp_path / "damaged")
     name = damage_tar(root, change)
     where = [f"data.root={root}", "data.resolution=8", "loss.lpips_weight=0.0"]
-    assert name in refused(main, composed("train", "+debug=cpu", *where, "trainer.fast_dev_run=4"))
+    assert name in refused(main, composed("train", "debug=cpu", *where, "trainer.fast_dev_run=4"))
 
 
 @pytest.fixture
@@ -152,7 +152,7 @@ def test_a_checkpoint_of_another_model(checkpoint, composed, refused):
 def test_missing_data_names_the_command_that_makes_it(tmp_path, composed, refused):
     from launch.train import main
 
-    line = refused(main, composed("train", "+debug=cpu", f"data.root={tmp_path}/none", "loss.lpips_weight=0.0"))
+    line = refused(main, composed("train", "debug=cpu", f"data.root={tmp_path}/none", "loss.lpips_weight=0.0"))
     assert f"{tmp_path}/none" in line
     assert "launch/generate.py" in line
 
@@ -169,7 +169,7 @@ def test_an_unknown_key_is_refused_by_name(verb):
 
 
 def test_an_experiment_that_does_not_exist_is_refused_with_those_that_do():
-    line = only_line(command("train", "+experiment=quickstrat"))
+    line = only_line(command("train", "experiment=quickstrat"))
     assert "experiment/quickstrat" in line
     assert "large_scale" in line
 
@@ -183,7 +183,7 @@ def test_a_full_tracking_database_does_not_stop_training(data, composed, monkeyp
 
     monkeypatch.setattr("mlflow.MlflowClient.log_batch", full)
     cfg = composed(
-        "train", "+debug=cpu", f"data.root={data}", "data.resolution=8", "loss.lpips_weight=0.0", "steps=2",
+        "train", "debug=cpu", f"data.root={data}", "data.resolution=8", "loss.lpips_weight=0.0", "steps=2",
         "trainer.val_check_interval=2", f"run_dir={tmp_path}/run", f"logger.folder={tmp_path}", "logger.patience=2.0",
     )  # fmt: skip
     assert main.__wrapped__(cfg).is_file()
@@ -194,7 +194,7 @@ def test_no_blender_installed(tmp_path):
     (tmp_path / "bpy").mkdir()
     (tmp_path / "bpy" / "__init__.py").write_text("raise ModuleNotFoundError(\"No module named 'bpy'\", name='bpy')")
     small = ["data.resolution=16", "farm.workers=1", ONE_SCENE, f"data.root={tmp_path}/data"]
-    done = command("generate", "+experiment=quickstart", *small, env={**os.environ, "PYTHONPATH": str(tmp_path)})
+    done = command("generate", "experiment=quickstart", *small, env={**os.environ, "PYTHONPATH": str(tmp_path)})
     assert done.returncode == 1
     assert [line for line in done.stderr.splitlines() if line.startswith("error: ")] == [done.stderr.strip()]
     assert "pip install" in done.stderr
@@ -205,9 +205,9 @@ def test_no_blender_installed(tmp_path):
 def test_a_full_disk_while_writing(verb, data, tmp_path):
     """A limit on file sizes stands in for the disk: no root needed, the same kind of error."""
     overrides = {
-        "generate": ["+experiment=quickstart", "data.resolution=32", "reference.samples=1", "farm.workers=1",
+        "generate": ["experiment=quickstart", "data.resolution=32", "reference.samples=1", "farm.workers=1",
                      ONE_SCENE, f"data.root={tmp_path}/data"],
-        "train": ["+debug=cpu", f"data.root={data}", "data.resolution=8", "steps=1", "trainer.val_check_interval=1",
+        "train": ["debug=cpu", f"data.root={data}", "data.resolution=8", "steps=1", "trainer.val_check_interval=1",
                   "loss.lpips_weight=0.0", f"run_dir={tmp_path}/run", f"logger.folder={tmp_path}"],
     }  # fmt: skip
     limit = {"generate": 50_000, "train": 5_000_000}[verb]

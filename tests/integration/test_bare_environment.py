@@ -37,7 +37,7 @@ def trained(tmp_path_factory, bare):
     folder = tmp_path_factory.mktemp("trained")
     data = make(folder / "data", splits={"train": 3, "validation": 2, "test": 3}).root
     said = bare(
-        "launch/train.py", "+experiment=quickstart", "+debug=cpu", "logger=none", *SMALLEST, f"data.root={data}",
+        "launch/train.py", "experiment=quickstart", "debug=cpu", "logger=none", *SMALLEST, f"data.root={data}",
         "data.resolution=8", f"steps={STEPS}", "trainer.val_check_interval=2", "loss.lpips_weight=0.0",
         f"run_dir={folder}/run", "callbacks.panels.scenes=1", "schedule.warmup_steps=1",
     )  # fmt: skip
@@ -87,7 +87,7 @@ def test_its_metrics_are_a_table(trained):
 def test_it_is_evaluated_without_tracking(trained, bare):
     folder = trained[0]
     said = bare(
-        "launch/evaluate.py", "+experiment=quickstart", f"data.root={folder.parent}/data", "logger=none", "device=cpu",
+        "launch/evaluate.py", "experiment=quickstart", f"data.root={folder.parent}/data", "logger=none", "device=cpu",
         f"checkpoint={folder}/checkpoints/best.ckpt", "evaluation.lpips=false", "evaluation.splits=[test]",
         extras=("evaluation",),
     )  # fmt: skip
@@ -132,11 +132,11 @@ def test_benchmarks_are_there_but_for_plots_and_what_compares_with_others(bare):
 
 RENDER = ("launch/render.py", "cameras=[0]", "resolution=8", "device=cpu")
 MISSED = {
-    "training with tracking": ("tracking", ["launch/train.py", "+experiment=quickstart", "data.root=absent"]),
-    "making data": ("data", ["launch/generate.py", "+experiment=quickstart"]),
+    "training with tracking": ("tracking", ["launch/train.py", "experiment=quickstart", "data.root=absent"]),
+    "making data": ("data", ["launch/generate.py", "experiment=quickstart"]),
     "an H5 scene": ("data", [*RENDER, "scene=absent.h5"]),
     "fewer triangles": ("data", [*RENDER, "scene=data/scenes/roughness_spheres.json", "triangles=500"]),
-    "a report": ("evaluation", ["launch/evaluate.py", "+experiment=quickstart", "checkpoint=absent.ckpt"]),
+    "a report": ("evaluation", ["launch/evaluate.py", "experiment=quickstart", "checkpoint=absent.ckpt"]),
     "the viewer": ("viewer", ["launch/view.py", "scene=data/scenes/cornell_box.json"]),
 }
 

@@ -41,7 +41,7 @@ def data(tmp_path_factory):
 @pytest.mark.parametrize("verb", VERBS)
 @pytest.mark.parametrize("experiment", ["quickstart", "small_scale", "large_scale", "rfpp_tiny", "rfpp_real"])
 def test_composes_for_every_verb_and_resolves(experiment, verb, composed):
-    cfg = composed(verb, f"+experiment={experiment}", "run_dir=unused", *(["checkpoint=x"] * (verb == "evaluate")))
+    cfg = composed(verb, f"experiment={experiment}", "run_dir=unused", *(["checkpoint=x"] * (verb == "evaluate")))
     resolved = OmegaConf.to_container(cfg, resolve=True, throw_on_missing=True)
     assert resolved["data"]["name"] == resolved["name"] == experiment
 
@@ -49,7 +49,7 @@ def test_composes_for_every_verb_and_resolves(experiment, verb, composed):
 @pytest.mark.parametrize("base", ["ablation", "large_scale"])
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_every_variant_composes_under_a_name_of_its_own(variant, base, composed):
-    cfg = composed("train", f"+experiment=[{base},{variant}]", "run_dir=unused")
+    cfg = composed("train", f"experiment=[{base},{variant}]", "run_dir=unused")
     resolved = OmegaConf.to_container(cfg, resolve=True, throw_on_missing=True)
     assert resolved["variant"] == variant
     assert resolved["name"] == f"{resolved['data']['name']}-{variant}"
@@ -58,7 +58,7 @@ def test_every_variant_composes_under_a_name_of_its_own(variant, base, composed)
 
 
 def test_no_row_of_the_paper_lacks_an_experiment(composed):
-    methods = {composed("train", f"+experiment=[large_scale,{v}]", "run_dir=unused").method for v in VARIANTS}
+    methods = {composed("train", f"experiment=[large_scale,{v}]", "run_dir=unused").method for v in VARIANTS}
     assert methods | {"RenderFormer++"} == METHODS | BEYOND_THE_PAPER
 
 
@@ -85,14 +85,14 @@ def test_fast_dev_run_on_a_cpu(experiment, composed, data, tmp_path):
     from launch.train import main
 
     cfg = composed(
-        "train", f"+experiment={experiment}", "+debug=cpu", "trainer.fast_dev_run=true", f"data.root={data}",
+        "train", f"experiment={experiment}", "debug=cpu", "trainer.fast_dev_run=true", f"data.root={data}",
         "data.resolution=8", "loss.lpips_weight=0.0", "initial_weights=null", f"run_dir={tmp_path}",
     )  # fmt: skip
     assert main.__wrapped__(cfg) is None
 
 
 def test_large_scale_states_the_papers_settings(composed):
-    cfg = composed("train", "+experiment=large_scale", "run_dir=unused")
+    cfg = composed("train", "experiment=large_scale", "run_dir=unused")
     assert cfg.steps == cfg.trainer.max_steps == cfg.schedule.total_steps == 500_000
     assert cfg.datamodule.scenes_per_step * cfg.datamodule.views_per_scene == 32
     assert (cfg.trainer.devices, cfg.trainer.strategy, cfg.trainer.precision) == (8, "ddp", "bf16-mixed")
@@ -120,7 +120,7 @@ def test_training_twice_gives_the_same_losses(composed, data, tmp_path):
 
     def losses(name: str) -> list[float]:
         cfg = composed(
-            "train", "+experiment=quickstart", "+debug=cpu", f"data.root={data}", "data.resolution=8", "steps=6",
+            "train", "experiment=quickstart", "debug=cpu", f"data.root={data}", "data.resolution=8", "steps=6",
             "trainer.val_check_interval=6", "loss.lpips_weight=0.0", f"run_dir={tmp_path}/{name}",
             f"logger.folder={tmp_path}",
         )  # fmt: skip
@@ -142,7 +142,7 @@ def test_a_run_of_the_ablation_ends_with_a_checkpoint_a_panel_and_its_parent(com
     children = []
     for seed in (0, 1):
         cfg = composed(
-            "train", "+experiment=[ablation,renderformer]", "+debug=cpu", f"seed={seed}", f"data.root={data}",
+            "train", "experiment=[ablation,renderformer]", "debug=cpu", f"seed={seed}", f"data.root={data}",
             "data.resolution=8", "steps=2", "trainer.val_check_interval=2", "loss.lpips_weight=0.0",
             f"run_dir={tmp_path}/{seed}", f"logger.folder={tmp_path}",
         )  # fmt: skip

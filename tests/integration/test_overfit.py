@@ -16,7 +16,7 @@ def test_one_scene_is_learned_by_heart(composed, rendered_data, tmp_path):
     from rfpp.shards.dataset import ShardSplit
 
     cfg = composed(
-        "train", "+experiment=quickstart", "+debug=overfit", f"data.root={rendered_data}", "datamodule.workers=0",
+        "train", "experiment=quickstart", "debug=overfit", f"data.root={rendered_data}", "datamodule.workers=0",
         "loss.lpips_weight=0.0", "steps=300",
         "trainer.val_check_interval=300", f"run_dir={tmp_path}/run", f"logger.folder={tmp_path}",
     )  # fmt: skip

@@ -27,7 +27,7 @@ def trained(tmp_path_factory, composed, rendered_data):
 
     folder = tmp_path_factory.mktemp("runs")
     cfg = composed(
-        "train", "+experiment=quickstart", "+debug=cpu", f"data.root={rendered_data}", "steps=12",
+        "train", "experiment=quickstart", "debug=cpu", f"data.root={rendered_data}", "steps=12",
         f"run_dir={folder}/quickstart/one", f"logger.folder={folder}", "trainer.val_check_interval=6",
         "callbacks.panels.scenes=1", "loss.lpips_weight=0.0", "schedule.warmup_steps=2",
     )  # fmt: skip
@@ -69,7 +69,7 @@ def test_evaluation_writes_tables_and_reports_to_the_training_run(trained, compo
 
     checkpoint, run, client = trained
     cfg = composed(
-        "evaluate", "+experiment=quickstart", f"data.root={rendered_data}", f"checkpoint={checkpoint}",
+        "evaluate", "experiment=quickstart", f"data.root={rendered_data}", f"checkpoint={checkpoint}",
         "evaluation.lpips=false", "device=cpu",
     )  # fmt: skip
     (evaluation,) = main.__wrapped__(cfg)
@@ -120,7 +120,7 @@ def test_training_refuses_a_damaged_shard_and_names_it(trained, composed, render
     content[len(content) // 2] ^= 1
     (root / shard).write_bytes(content)
     cfg = composed(
-        "train", "+experiment=quickstart", "+debug=cpu", f"data.root={root}", "loss.lpips_weight=0.0",
+        "train", "experiment=quickstart", "debug=cpu", f"data.root={root}", "loss.lpips_weight=0.0",
         "trainer.fast_dev_run=8",
     )  # fmt: skip
     with pytest.raises(SystemExit) as stop:

@@ -18,7 +18,7 @@ FACTORS = {"lamp": np.array([0.5, 1.0, 2.0], np.float32), "spot": np.array([3.0,
 def kept(tmp_path_factory):
     """A folder with a scene, a network and the scene's pictures under other lights."""
     folder = tmp_path_factory.mktemp("relight")
-    linear = ("+experiment=quickstart",)
+    linear = ("experiment=quickstart",)
     renderer = Renderer(network(*linear), checkpoint_info(model_config(*linear), resolution=(16, 16)))
     renderer.save(folder / "net")
     Renderer(network(), checkpoint_info(resolution=(16, 16))).save(folder / "other")

@@ -24,7 +24,7 @@ def checkpoints(composed, tmp_path_factory) -> list[str]:
     folder = tmp_path_factory.mktemp("runs")
     paths = []
     for experiment in ("large_scale", *(f"[large_scale,{variant}]" for variant in VARIANTS)):
-        cfg = composed("train", f"+experiment={experiment}", "size=tiny", *SMALLEST, "run_dir=unused")
+        cfg = composed("train", f"experiment={experiment}", "size=tiny", *SMALLEST, "run_dir=unused")
         model = OmegaConf.to_container(cfg.model, resolve=True)
         info = checkpoint_info(model, dataset="small_scale", method=cfg.method)
         state = {NETWORK_PREFIX + k: v for k, v in instantiate(cfg.model, _convert_="all").state_dict().items()}

@@ -10,7 +10,7 @@ from rfpp.shards.manifest import Manifest
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 SMALL = (
-    "+experiment=quickstart", "data.resolution=16", "reference.samples=1", "farm.workers=1", "data.scenes_per_shard=1",
+    "experiment=quickstart", "data.resolution=16", "reference.samples=1", "farm.workers=1", "data.scenes_per_shard=1",
     "data.splits={train: 2, train_newviews: 1, validation: 0, test: 0}", "slice.count=2",
 )  # fmt: skip
 

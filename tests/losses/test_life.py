@@ -11,10 +11,10 @@ from rfpp.losses.life import EXCHANGED_TOKENS, NO_TRANSPORT, PERMUTED_LIGHT, Err
 from rfpp.losses.radiance import log_l1
 
 NETWORKS = {
-    "paper": ("+experiment=large_scale",),
-    "known light": ("+experiment=quickstart", "model=known_light"),
-    "linear light": ("+experiment=quickstart",),
-    "RenderFormer": ("+experiment=[large_scale,renderformer]",),
+    "paper": ("experiment=large_scale",),
+    "known light": ("experiment=quickstart", "model=known_light"),
+    "linear light": ("experiment=quickstart",),
+    "RenderFormer": ("experiment=[large_scale,renderformer]",),
 }
 
 
@@ -40,7 +40,7 @@ def test_another_scene_s_tokens_show_in_a_network_that_reads_them(net):
 
 @torch.no_grad()
 def test_and_not_in_one_that_does_not():
-    net = network("+experiment=quickstart", "model=known_light")
+    net = network("experiment=quickstart", "model=known_light")
     for block in net.decoder.blocks:  # as training may leave them: rays look at nothing but rays
         block.cross_attention.out_proj.weight.zero_()
     batch = batch_for(net)
@@ -51,7 +51,7 @@ def test_and_not_in_one_that_does_not():
 
 @torch.no_grad()
 def test_without_transport_nothing_is_transported():
-    net = network("+experiment=quickstart")
+    net = network("experiment=quickstart")
     batch = batch_for(net)
     batch = replace(batch, cells=replace(batch.cells, specular=torch.zeros_like(batch.cells.specular)))
     still = impaired(net, batch, donated(net, batch))[NO_TRANSPORT]
@@ -62,7 +62,7 @@ def test_without_transport_nothing_is_transported():
 
 @torch.no_grad()
 def test_light_is_dealt_within_a_scene():
-    net = network("+experiment=quickstart")
+    net = network("experiment=quickstart")
     batch = batch_for(net)
     images = impaired(net, batch, donated(net, batch))
     dark = batch.cells.arriving.clone()
@@ -73,7 +73,7 @@ def test_light_is_dealt_within_a_scene():
 
 
 def test_a_network_without_an_operator_has_none_to_take_away():
-    net = network("+experiment=[large_scale,renderformer]")
+    net = network("experiment=[large_scale,renderformer]")
     batch = batch_for(net)
     with torch.no_grad():
         assert set(impaired(net, batch, donated(net, batch))) == {EXCHANGED_TOKENS}
@@ -81,7 +81,7 @@ def test_a_network_without_an_operator_has_none_to_take_away():
 
 @torch.no_grad()
 def test_growth_is_a_share_of_the_error_and_needs_another_scene():
-    net, growth = network("+experiment=quickstart"), ErrorGrowth()
+    net, growth = network("experiment=quickstart"), ErrorGrowth()
     for scenes in (1, 2):  # the second time the last scene is another one
         batch = batch_for(net, scenes=scenes)
         growth.add(net, batch, net(batch).log_radiance)

@@ -9,7 +9,7 @@ from safetensors.torch import save_file
 
 from rfpp.errors import MissingDependencyError, UserError
 from rfpp.metrics import lpips_weights
-from rfpp.metrics.package_index import PackageIndexError
+from rfpp.metrics.pip_download import DownloadError
 
 
 @pytest.fixture
@@ -17,7 +17,7 @@ def empty_machine(tmp_path, monkeypatch):
     """No cache of any kind, and no network."""
 
     def no_index(*_):
-        raise PackageIndexError("index.example: unreachable")
+        raise DownloadError("index.example: unreachable")
 
     def no_hub(*_, **__):
         raise OSError("unreachable")

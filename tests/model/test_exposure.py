@@ -15,7 +15,7 @@ from rfpp.model.ray_bundle import CameraOrigin
 from rfpp.scene.triangles import EMISSION, SceneTriangles
 from rfpp.training.views import moved
 
-KNOWN_LIGHT = ("+experiment=quickstart", "model=known_light")
+KNOWN_LIGHT = ("experiment=quickstart", "model=known_light")
 
 
 def triangle(centre, x, y) -> np.ndarray:

@@ -57,7 +57,7 @@ def test_what_lies_on_no_known_surface_takes_the_nearest():
 
 @pytest.fixture(scope="module")
 def known_light():
-    net = network("+experiment=quickstart", "model=known_light")
+    net = network("experiment=quickstart", "model=known_light")
     net.decoder.film = CentreSample()
     return net
 

@@ -15,8 +15,8 @@ from rfpp.training.views import moved
 
 VARIANTS = {
     "paper": (),
-    "known_light": ("+experiment=quickstart", "model=known_light"),
-    "linear": ("+experiment=quickstart",),
+    "known_light": ("experiment=quickstart", "model=known_light"),
+    "linear": ("experiment=quickstart",),
 }
 MOST_CHANNELS = sum(CHANNELS.values())
 

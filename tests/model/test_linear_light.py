@@ -22,8 +22,8 @@ from rfpp.model.radiosity import UnlearnedRadiosity
 from rfpp.packed_cells import LIGHT, PackedCells
 from rfpp.shards.views import select_views
 
-LINEAR = ("+experiment=quickstart",)
-CORRECTED = ("+experiment=quickstart", "model=corrected_light")
+LINEAR = ("experiment=quickstart",)
+CORRECTED = ("experiment=quickstart", "model=corrected_light")
 
 
 @pytest.fixture(scope="module")

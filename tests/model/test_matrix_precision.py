@@ -32,7 +32,7 @@ def test_another_precision_is_refused():
 
 def test_bfloat16_gives_nearly_the_same_image():
     exact, fast = (
-        Renderer(network("+experiment=large_scale"), checkpoint_info(), CPU, dtype).render(scene())
+        Renderer(network("experiment=large_scale"), checkpoint_info(), CPU, dtype).render(scene())
         for dtype in (torch.float32, torch.bfloat16)
     )
     difference = np.abs(np.log10(1 + exact) - np.log10(1 + fast))

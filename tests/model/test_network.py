@@ -162,7 +162,7 @@ def test_base_size_is_comparable_to_renderformer():
         from networks import CONFIG_DIR, OmegaConf, compose, initialize_config_dir
 
         with initialize_config_dir(str(CONFIG_DIR), version_base="1.3"):
-            cfg = compose("train", overrides=["+experiment=large_scale", "run_dir=unused"])
+            cfg = compose("train", overrides=["experiment=large_scale", "run_dir=unused"])
         net = instantiate(OmegaConf.to_container(cfg.model, resolve=True), _convert_="all")
     count = sum(p.numel() for p in net.parameters())
     assert 0.85 * 205e6 < count < 1.1 * 205e6

@@ -12,7 +12,7 @@ from rfpp.errors import UserError
 from rfpp.shards.views import select_views
 from rfpp.training.views import moved
 
-OCTANTS = "+experiment=[ablation,octant_tokens]"
+OCTANTS = "experiment=[ablation,octant_tokens]"
 
 
 @pytest.fixture(scope="module")

@@ -63,7 +63,7 @@ def test_a_pixel_below_zero_is_nearly_black_and_can_come_back():
 
 
 def test_a_surface_that_reflects_nothing_is_black_and_colours_come_from_their_own_reflectance():
-    net = network("+experiment=quickstart", "model=known_light")
+    net = network("experiment=quickstart", "model=known_light")
     net.decoder.film = CentreSample()
     views = random_views(np.random.default_rng(0), channels=25)
     names = net.gbuffer_channels

@@ -15,7 +15,7 @@ ALBEDO, SPECULAR, LIGHT = slice(0, 3), slice(7, 10), slice(10, 19)
 
 @pytest.fixture(scope="module")
 def known_light():
-    net = network("+experiment=quickstart", "model=known_light")
+    net = network("experiment=quickstart", "model=known_light")
     net.decoder.film = CentreSample()
     return net
 
@@ -42,7 +42,7 @@ def repeated(gbuffer: np.ndarray, number: int) -> np.ndarray:
 @pytest.mark.parametrize("number", [2, 3])
 @pytest.mark.parametrize(
     ("overrides", "channels"),
-    [((), 7), (("+experiment=quickstart", "model=known_light"), 25), (("model=renderformer",), 0)],
+    [((), 7), (("experiment=quickstart", "model=known_light"), 25), (("model=renderformer",), 0)],
     ids=["normals and depth", "known light", "none"],
 )
 def test_points_that_are_alike_change_nothing(views, overrides, channels, number):

@@ -20,11 +20,11 @@ REPOSITORY = Path(__file__).resolve().parents[2]
 @pytest.mark.parametrize("experiment", ["quickstart", "small_scale", "large_scale"])
 def test_every_experiment_composes_to_a_family_and_valid_data_settings(experiment):
     with initialize_config_dir(str(REPOSITORY / "conf"), version_base="1.3"):
-        cfg = compose("generate", [f"+experiment={experiment}"])
+        cfg = compose("generate", [f"experiment={experiment}"])
     data = instantiate(cfg.data, _convert_="all")
     assert isinstance(data, DatasetSettings)
     assert data.root == f"data/shards/{experiment}"
-    assert instantiate(cfg.scene).cameras.count == data.views
+    assert instantiate(cfg.family).cameras.count == data.views
     assert instantiate(cfg.reference).denoise
 
 
@@ -32,7 +32,7 @@ def run(*overrides: str) -> subprocess.CompletedProcess:
     """A scene of quickstart's at toy size, whatever the overrides say."""
     small = ["data.resolution=16", "reference.samples=1", "farm.workers=1"]
     amount = ["data.splits={train: 1, train_newviews: 0, validation: 0, test: 0}"]
-    command = [sys.executable, "launch/generate.py", "+experiment=quickstart"]
+    command = [sys.executable, "launch/generate.py", "experiment=quickstart"]
     return subprocess.run(
         [*command, *small, *amount, *overrides], cwd=REPOSITORY, capture_output=True, text=True, check=False
     )
@@ -63,8 +63,8 @@ def test_a_folder_of_meshes_is_prepared_and_rendered(tmp_path):
     trimesh.creation.icosphere(2).export(tmp_path / "meshes/ball.ply")
     trimesh.creation.torus(1, 0.3).export(tmp_path / "meshes/ring.glb")
     (tmp_path / "meshes/broken.obj").write_text("f 1 2 3")
-    folders = [f"scene.objects.folder={tmp_path}/meshes", f"scene.objects.root={tmp_path}/objects"]
-    made = run("scene/objects=folder", *folders, f"data.root={tmp_path}/data")
+    folders = [f"family.objects.folder={tmp_path}/meshes", f"family.objects.root={tmp_path}/objects"]
+    made = run("family/objects=folder", *folders, f"data.root={tmp_path}/data")
     assert made.returncode == 0, made.stderr
     assert "broken.obj: unreadable" in made.stdout
     assert "1 held_out" in made.stdout

@@ -11,7 +11,7 @@ from rfpp.gbuffer.first_hit import CHANNELS, stack_channels
 from rfpp.scene.camera import camera_to_world
 from rfpp.scene.triangles import SceneTriangles
 from rfpp.shards.sample import SCHEMA_VERSION, SceneSample, decode, encode
-from rfpp.shards.scene_rays import Stage
+from rfpp.shards.scene_rays import SceneRays
 from rfpp.shards.tar import pack, unpack
 
 
@@ -21,11 +21,11 @@ def sample() -> SceneSample:
     triangles = SceneTriangles.from_scene(scene)
     c2w = np.stack([camera_to_world(camera) for camera in scene.cameras])
     fov = np.array([camera.fov for camera in scene.cameras], np.float32)
-    stage = Stage(triangles)
-    gbuffers = stage.gbuffers(c2w, fov, 12, 2, np.random.SeedSequence(0))
+    rays = SceneRays(triangles)
+    gbuffers = rays.gbuffers(c2w, fov, 12, 2, np.random.SeedSequence(0))
     images = np.random.default_rng(3).exponential(0.5, (2, 12, 12, 3)).astype(np.float32)
     meta = {"family": "boxes", "index": 1}
-    return SceneSample("train-000001", triangles, c2w, fov, images, gbuffers, stage.object_light(), stage.cells, meta)
+    return SceneSample("train-000001", triangles, c2w, fov, images, gbuffers, rays.object_light(), rays.cells, meta)
 
 
 def test_round_trip(sample):

@@ -31,7 +31,7 @@ def compare() -> tuple[list[float], list[int]]:
 
     counter = CompileCounterWithBackend("aot_eager")  # the tracing is ours to get right; machine code takes a minute
     torch.compile = partial(torch.compile, backend=counter)
-    net, compiled = (network("+experiment=large_scale", "size=tiny").train() for _ in range(2))
+    net, compiled = (network("experiment=large_scale", "size=tiny").train() for _ in range(2))
     blocks.compile_blocks(compiled)
     differences, compilations = [], []
     for batch in batches():

@@ -10,14 +10,14 @@ from rfpp.model.renderformer_pp import RenderFormerPP
 
 #: FlashAttention wants heads of a multiple of eight.
 HEADS = ("size.width=64", "size.heads=1")
-PAPER = ("+experiment=large_scale", "size=tiny", *HEADS)
+PAPER = ("experiment=large_scale", "size=tiny", *HEADS)
 VARIANTS = {
     "paper": PAPER,
-    "quickstart": ("+experiment=quickstart", *HEADS),
-    "known_light": ("+experiment=quickstart", "model=known_light", *HEADS),
+    "quickstart": ("experiment=quickstart", *HEADS),
+    "known_light": ("experiment=quickstart", "model=known_light", *HEADS),
     "windows": (*PAPER, "+model.decoder.windows={_target_: rfpp.model.ray_windows.ShiftedWindows, size: 2}"),
     **{
-        name: (f"+experiment=[large_scale,{name}]", "size=tiny", *HEADS)
+        name: (f"experiment=[large_scale,{name}]", "size=tiny", *HEADS)
         for name in ("without_pitg", "without_tcl", "without_ggd", "one_iteration", "renderformer", "renderformer_pitg",
                      "renderformer_hoct", "renderformer_finetuned", "direct_light", "learned_occlusion",
                      "light_from_emission", "octant_tokens")

@@ -1,4 +1,4 @@
-"""The scene families of conf/scene, and scenes drawn from them."""
+"""The scene families of conf/family, and scenes drawn from them."""
 
 from functools import cache
 from pathlib import Path
@@ -14,10 +14,10 @@ CONF = Path(__file__).parents[2] / "conf"
 
 
 def family(name: str, *overrides: str) -> SceneFamily:
-    """The family as `conf/scene/<name>.yaml` describes it, with Hydra overrides."""
+    """The family as `conf/family/<name>.yaml` describes it, with Hydra overrides."""
     with initialize_config_dir(config_dir=str(CONF), version_base="1.3"):
-        cfg = compose(overrides=[f"+scene={name}", *overrides])
-    return instantiate(cfg.scene, _convert_="all")
+        cfg = compose(overrides=[f"+family={name}", *overrides])
+    return instantiate(cfg.family, _convert_="all")
 
 
 @cache

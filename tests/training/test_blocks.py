@@ -14,7 +14,7 @@ from rfpp.training.blocks import RecomputedBlocks, RecomputedObjects
 
 @pytest.mark.parametrize(("policy", "share"), [(RecomputedBlocks(), 0.6), (RecomputedObjects(15), 0.4)])
 def test_activations_computed_twice_give_the_same_gradients(policy, share):
-    net, frugal = (network("+experiment=large_scale", "size=tiny").train() for _ in range(2))
+    net, frugal = (network("experiment=large_scale", "size=tiny").train() for _ in range(2))
     policy(frugal)
     batch = batches()[0]
     kept = []
@@ -31,7 +31,7 @@ def test_activations_computed_twice_give_the_same_gradients(policy, share):
 
 def test_a_network_without_object_tokens_cannot_be_taken_object_by_object():
     with pytest.raises(UserError, match="choose blocks"):
-        RecomputedObjects(60)(network("+experiment=renderformer"))
+        RecomputedObjects(60)(network("experiment=renderformer"))
 
 
 def test_compiled_blocks_give_the_same_gradients_for_any_number_of_tokens(in_process):

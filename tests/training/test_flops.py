@@ -12,7 +12,7 @@ from rfpp.training.flops import training_flops
 @pytest.mark.parametrize("experiment", ["large_scale", "renderformer"])
 def test_fused_attention_is_counted_as_what_it_computes(experiment):
     """On "meta" there are no kernels: attention is composed of matrix products there."""
-    net = network(f"+experiment={experiment}")
+    net = network(f"experiment={experiment}")
     channels = 7 if net.gbuffer_channels else 0
     batch = RaggedBatch.pack([random_views(np.random.default_rng(0), (1000, 1), channels=channels)])
     counted = training_flops(net, batch)

@@ -120,7 +120,7 @@ def test_what_goes_on_from_its_state_takes_the_same_steps(make):
 
 def test_quickstart_chooses_its_rate():
     with initialize_config_dir(str(CONFIG_DIR), version_base="1.3"):
-        cfg = compose("train", overrides=["run_dir=unused", "+experiment=quickstart", "optimizer=muon"])
+        cfg = compose("train", overrides=["run_dir=unused", "experiment=quickstart", "optimizer=muon"])
     optimizer = instantiate(cfg.optimizer)(decay_groups(small()))
     assert isinstance(optimizer, MuonWithAdamW)
     assert {group["lr"] for group in optimizer.param_groups} == {1e-3}

@@ -33,7 +33,7 @@ def tracked(tmp_path_factory):
     folder = tmp_path_factory.mktemp("tracked")
     data = make(folder / "data", splits={"train": 3, "validation": 2}).root
     overrides = [
-        "+experiment=quickstart", "+debug=cpu", f"data.root={data}", "data.resolution=8", f"steps={STEPS}",
+        "experiment=quickstart", "debug=cpu", f"data.root={data}", "data.resolution=8", f"steps={STEPS}",
         "trainer.val_check_interval=2", "loss.lpips_weight=0.0", f"run_dir={folder}/run", f"logger.folder={folder}",
         "callbacks.panels.scenes=1", "schedule.warmup_steps=1", "callbacks.scores_by_size.edges=[5,100]",
         "size.width=54", "size.heads=1", "size.hidden=64",

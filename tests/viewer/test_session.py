@@ -15,15 +15,15 @@ from rfpp.scene.packed import pack
 from rfpp.scene.spec import Scene
 from rfpp.viewer.comparison import Wipe
 from rfpp.viewer.edits import moved, replaced
-from rfpp.viewer.layers import everything
+from rfpp.viewer.layers import layers_of
 from rfpp.viewer.reference import Reference
 from rfpp.viewer.session import Session, View
 
 
 def view_of(renderer, **changes) -> View:
     made = scene()
-    shown = everything(renderer)["image"]
-    return View(**{"scene": made, "camera": made.cameras[0], "aspect": 1.0, "shown": shown, "tone_map": SRGB(),
+    layer = layers_of(renderer)["image"]
+    return View(**{"scene": made, "camera": made.cameras[0], "aspect": 1.0, "layer": layer, "tone_map": SRGB(),
                       "longer_side": 16, **changes})  # fmt: skip
 
 
@@ -70,7 +70,7 @@ def test_an_image_in_motion_is_small_and_the_one_at_rest_is_not(renderer):
 
 def test_lights_that_change_again_are_drawn_in_full_at_once():
     """Networks that are linear in lights have an image of each by then."""
-    linear = Renderer(network("+experiment=quickstart"), checkpoint_info(resolution=(16, 16)))
+    linear = Renderer(network("experiment=quickstart"), checkpoint_info(resolution=(16, 16)))
     view = view_of(linear, longer_side=96)
 
     def dimmer(power: float) -> Scene:
@@ -135,13 +135,13 @@ def test_a_reference_is_compared_only_where_it_shows_this_view(renderer):
 def test_everything_that_can_be_shown_is_a_picture(renderer, name):
     view = view_of(renderer)
     packed = pack(view.scene).seen_by([view.camera])
-    picture = everything(renderer)[name].picture(packed, (16, 24), SRGB())
+    picture = layers_of(renderer)[name].picture(packed, (16, 24), SRGB())
     assert picture.shape == (16, 24, 3) and picture.dtype == np.uint8
     assert picture.std() > 1
 
 
 def test_light_after_all_transports_is_the_image(renderer):
     packed = pack(scene()).seen_by(scene().cameras[:1])
-    kinds = everything(renderer)
+    kinds = layers_of(renderer)
     last = f"light after {renderer.network.iterations} transports"
     np.testing.assert_array_equal(*(kinds[name].picture(packed, (16, 16), SRGB()) for name in ("image", last)))

@@ -1,4 +1,4 @@
-"""Scenes of exactly so many triangles and objects, of invented shape: cost depends on sizes, not on looks."""
+"""Synthetic scenes with a given number of triangles and objects, for measuring cost."""
 
 from __future__ import annotations
 

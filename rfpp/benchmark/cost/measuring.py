@@ -1,4 +1,4 @@
-"""What networks cost: time, memory and operations of rendering and of training, over the sizes of scenes and images."""
+"""Measure time, memory and operations of rendering and training over scene and image sizes."""
 
 from __future__ import annotations
 

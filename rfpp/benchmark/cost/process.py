@@ -1,4 +1,4 @@
-"""One measurement in a process of its own, which may be killed when it takes too much time or memory."""
+"""Run a measurement in a separate process with time and memory limits."""
 
 from __future__ import annotations
 

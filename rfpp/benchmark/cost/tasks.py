@@ -1,4 +1,4 @@
-"""What is timed: rendering as the renderer does it, and a training step as the trainer does it."""
+"""Timed tasks: rendering and training steps."""
 
 from __future__ import annotations
 

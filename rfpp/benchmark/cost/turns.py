@@ -1,4 +1,4 @@
-"""Networks take turns at a task, each in a process of its own."""
+"""Measure networks in turns, each in its own process."""
 
 from __future__ import annotations
 

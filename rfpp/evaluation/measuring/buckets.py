@@ -1,4 +1,4 @@
-"""Where a network is good: its errors by the size of the scene."""
+"""Errors by scene size."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Stored scenes with known light that is free of noise, for errors of what networks add to it."""
+"""Stored scenes with noise-free known light, for measuring what a network adds to it."""
 
 from __future__ import annotations
 

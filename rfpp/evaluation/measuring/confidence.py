@@ -1,4 +1,4 @@
-"""Means over scenes, and how far they would move if other scenes of the same kind had been drawn."""
+"""Means over scenes with bootstrap confidence intervals."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Records, means and buckets as CSV, and back."""
+"""Read and write records, means and buckets as CSV."""
 
 from __future__ import annotations
 

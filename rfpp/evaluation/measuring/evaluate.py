@@ -1,4 +1,4 @@
-"""A network and the trivial baselines on every view of stored scenes: one record per image and predictor."""
+"""Evaluate a network and the trivial baselines on stored scenes: one record per image and predictor."""
 
 from __future__ import annotations
 

@@ -1,11 +1,12 @@
-"""evaluation.json: all that a table of results must know about one evaluation of one checkpoint."""
+"""evaluation.json: one evaluation of one checkpoint, as read by the tables of results."""
 
 from __future__ import annotations
 
 import json
 import math
 from collections import defaultdict
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -81,50 +82,43 @@ class Evaluation:
     @classmethod
     def read(cls, path: Path) -> Evaluation:
         """Raises UserError naming the file: absent, unreadable, or not an evaluation."""
-        try:
-            content = json.loads(path.read_bytes())
-            splits = content.pop("splits")
-            means = {
-                (split, predictor): {name: _estimate(numbers) for name, numbers in values.items()}
-                for split, predictors in splits.items()
-                for predictor, values in predictors.items()
-            }
-            cost = content.pop("cost", None)
-            return cls(**content, means=means, cost=cost and TrainingCost(**cost))
-        except OSError as error:
-            raise UserError(f"{path}: cannot be read ({error.strerror}): correct the path") from None
-        except (ValueError, KeyError, TypeError, AttributeError) as error:
-            raise UserError(f"{path}: not an evaluation ({error!r}): make it again with launch/evaluate.py") from None
+        with reading(path):
+            return cls.from_json(json.loads(path.read_bytes()))
 
-    def write(self, folder: Path) -> Path:
-        """Write evaluation.json into `folder`; returns its path. Raises UserError: it cannot be written."""
+    @classmethod
+    def from_json(cls, content: Mapping[str, Any]) -> Evaluation:
+        """Inverse of `to_json`. Raises ValueError, KeyError, TypeError or AttributeError for anything else."""
+        rest = {key: value for key, value in content.items() if key not in ("splits", "cost")}
+        means = {
+            (split, predictor): {name: _estimate(numbers) for name, numbers in values.items()}
+            for split, predictors in content["splits"].items()
+            for predictor, values in predictors.items()
+        }
+        cost = content.get("cost")
+        return cls(**rest, means=means, cost=cost and TrainingCost(**cost))
+
+    def to_json(self) -> dict[str, Any]:
+        """Nested dictionaries of text, numbers and None."""
         splits: dict[str, dict[str, Any]] = defaultdict(dict)
         for (split, predictor), values in self.means.items():
             splits[split][predictor] = {name: _numbers(estimate) for name, estimate in values.items()}
-        about = {key: value for key, value in asdict(self).items() if key != "means"}
-        text = json.dumps({**about, "splits": splits}, indent=1, allow_nan=False)
+        return {**{key: value for key, value in asdict(self).items() if key != "means"}, "splits": dict(splits)}
+
+    def write(self, folder: Path) -> Path:
+        """Write evaluation.json into `folder`; returns its path. Raises UserError: it cannot be written."""
+        text = json.dumps(self.to_json(), indent=1, allow_nan=False)
         return write_atomically(folder / EVALUATION_FILE, text.encode())
 
 
-def read_evaluations(paths: Iterable[Path]) -> list[Evaluation]:
-    """The evaluations in these files and anywhere beneath these folders, all fit to stand in one table.
-
-    Copies of a file, such as MLflow keeps, count once.
-
-    Raises:
-        UserError: nothing is found, a file is not an evaluation, a metric was not what it is now, or two files must not
-            be compared: one data set in two versions, or one network (method, training, seed) twice on the same data.
-    """
-    files: dict[bytes, Path] = {}
-    for path in paths:
-        found = sorted(path.rglob(EVALUATION_FILE)) if path.is_dir() else [path]
-        if not found:
-            raise UserError(f"{path}: no {EVALUATION_FILE} anywhere beneath: make one with launch/evaluate.py")
-        for file in found:
-            files.setdefault(file.read_bytes() if file.is_file() else b"", file)
-    evaluations = {file: Evaluation.read(file) for file in files.values()}
-    _require_comparable(evaluations)
-    return list(evaluations.values())
+@contextmanager
+def reading(path: Path) -> Iterator[None]:
+    """Errors within become a UserError that names the file."""
+    try:
+        yield
+    except OSError as error:
+        raise UserError(f"{path}: cannot be read ({error.strerror}): correct the path") from None
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise UserError(f"{path}: not an evaluation ({error!r}): make it again with launch/evaluate.py") from None
 
 
 def require_known_metrics(evaluation: Evaluation, path: Path) -> None:
@@ -132,20 +126,6 @@ def require_known_metrics(evaluation: Evaluation, path: Path) -> None:
     for name, definition in evaluation.definitions.items():
         if name not in METRICS or METRICS[name].definition != definition:
             raise UserError(f"{path}: '{name}' is by now another metric ({definition}): evaluate again")
-
-
-def _require_comparable(evaluations: Mapping[Path, Evaluation]) -> None:
-    seen: dict[str, tuple[Path, str]] = {}
-    for file, e in evaluations.items():
-        require_known_metrics(e, file)
-        for what, version in ((f"the data set '{e.data}'", e.data_manifest), (_identity(e), str(file))):
-            other, known = seen.setdefault(what, (file, version))
-            if known != version:
-                raise UserError(f"{file}: {what} is not the same here as in {other}: give only one of the two")
-
-
-def _identity(e: Evaluation) -> str:
-    return f"{e.method} (trained on {e.trained_on}, {e.steps} steps, seed {e.seed}, commit {e.commit}) on '{e.data}'"
 
 
 def _numbers(estimate: Estimate) -> dict[str, float | str]:

@@ -1,4 +1,4 @@
-"""How well does a network move light? Errors of what it adds to the light that is known, against clean references."""
+"""Errors of the light that a network adds to known light, against clean references."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ class LightErrors:
         return Estimate(float(wrong.sum() / there.sum()), float(low), float(high), len(there))
 
     def median(self) -> float:
-        """Relative L1 of further light in the median scene: what a few hard scenes do not decide."""
+        """Relative L1 of further light in the median scene."""
         return float(np.median(np.array(self.wrong[AS_IT_IS]) / np.array(self.there)))
 
     def energy(self) -> float:
@@ -73,7 +73,7 @@ class LightErrors:
         return sum(self.added) / sum(self.to_add)
 
     def growth(self) -> dict[str, float]:
-        """By how much log-L1 grows with each part made useless, as a share of itself as it is."""
+        """Relative growth of log-L1 with each part disabled."""
         # the first scene has no other's tokens to be given
         rest = {what: np.mean(errors[-(len(self.there) - 1) :]) for what, errors in self.log_l1.items()}
         return {what: float(error / rest[AS_IT_IS]) - 1 for what, error in rest.items() if what != AS_IT_IS}

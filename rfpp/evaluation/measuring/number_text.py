@@ -1,4 +1,4 @@
-"""Numbers of a metric as every table writes them."""
+"""Format metric values for tables."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What each predictor scored on each image, and the means over the views of a scene."""
+"""Scores per image and per scene."""
 
 from __future__ import annotations
 

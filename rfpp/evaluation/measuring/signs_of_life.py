@@ -1,4 +1,4 @@
-"""Which parts of a network live? A column of an evaluation that errors alone do not have."""
+"""Which parts of a network are used: error growth when each is disabled."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ HEADINGS = {
 
 @torch.no_grad()
 def signs_of_life(network: RenderFormerPP, split: ShardSplit, device: torch.device, scenes: int) -> dict[str, float]:
-    """By how much log-L1 grows with each part made useless, as a share of it; empty for a single scene.
+    """Relative growth of log-L1 with each part disabled; empty for a single scene.
 
     Args:
         network: in evaluation mode, on `device`.

@@ -1,4 +1,4 @@
-"""What training took, from the journal that its run kept."""
+"""Time and memory of a training run, from its journal."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a transport operator does when it is applied again and again: does it converge, and to which image?"""
+"""Convergence of a transport operator that is applied repeatedly."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def trace_transport(
     network: nn.Module,
     split: ShardSplit,
     applications: int,
-    shown: int,
+    pictured_scenes: int,
     device: torch.device,
     on_scene: Callable[[], None] = lambda: None,
 ) -> TransportTrace:
@@ -55,7 +55,7 @@ def trace_transport(
 
     Args:
         network: in evaluation mode, on `device`.
-        shown: R, scenes whose images are kept.
+        pictured_scenes: R, scenes whose images are kept.
         on_scene: called after each scene, for a progress bar.
 
     Raises:
@@ -71,7 +71,7 @@ def trace_transport(
         error = torch.stack([log_l1(image, batch.image[0]).mean() for image in decoded[:-1]])
         change = torch.stack([log_l1(a, b).mean() for a, b in pairwise(decoded)])
         traces.append(torch.stack([residual, error, change]).cpu().numpy())
-        if index < shown:
+        if index < pictured_scenes:
             images.append(torch.stack(decoded[:-1])[:, 0].permute(0, 2, 3, 1).cpu().numpy())
             references.append(batch.image[0, 0].permute(1, 2, 0).cpu().numpy())
         on_scene()

@@ -1,4 +1,4 @@
-"""All that an evaluation left in its folder, read back and fit together."""
+"""Read an evaluation's folder and check that its files belong together."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""report.html: an evaluation as one page that needs no server, no network and no other file.
+"""report.html: an evaluation as one self-contained page.
 
 launch/evaluate.py makes it; from the files that it left, without rendering again:
 

@@ -1,4 +1,4 @@
-"""HTML pages from the templates in `pages/`. Everything that is put into them is escaped."""
+"""Render the HTML templates in `pages/`. All inserted content is escaped."""
 
 from __future__ import annotations
 

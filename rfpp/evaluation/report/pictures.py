@@ -1,4 +1,4 @@
-"""pictures.zip: pictures of some scenes of an evaluation, which its report shows."""
+"""pictures.zip: the pictures shown in an evaluation's report."""
 
 from __future__ import annotations
 

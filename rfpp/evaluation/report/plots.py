@@ -1,4 +1,4 @@
-"""Small plots as SVG that stands in a page: its text is text, its colours are those of the page's style sheet."""
+"""Inline SVG plots with selectable text and colours from the page's style sheet."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From a network's best scene to its worst: which of them are looked at."""
+"""Rank scenes by error and choose which ones to picture."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Pictures of what a network makes of a scene, and sheets of the scenes on which it does best, middling and worst."""
+"""Pictures of predictions, and sheets of the best, median and worst scene."""
 
 from __future__ import annotations
 

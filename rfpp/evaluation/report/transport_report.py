@@ -1,4 +1,4 @@
-"""The report on a transport operator: numbers as CSV, a plot, a sheet of images, and a page that shows them."""
+"""The report on a transport operator: CSV, plot, image sheet and HTML page."""
 
 from __future__ import annotations
 

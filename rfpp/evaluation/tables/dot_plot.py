@@ -1,4 +1,4 @@
-"""A table of results as a picture: its methods from best to worst, a dot for each seed."""
+"""Plot a table of results: methods from best to worst, one dot per seed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A table of results as lines of text, before any format: what is said in the row, and what beneath the table."""
+"""Lay out a table of results as text cells and footnotes, independent of the output format."""
 
 from __future__ import annotations
 

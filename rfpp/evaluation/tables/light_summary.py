@@ -1,4 +1,4 @@
-"""Tables of how well networks move light, seeds together: as Markdown and as a picture.
+"""Summarise light-transport measurements over seeds, as Markdown and as a plot.
 
 python -m rfpp.evaluation.tables.light_summary data/results/light.csv     writes light.md and light.png beside it
 """

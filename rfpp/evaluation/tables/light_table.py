@@ -1,4 +1,4 @@
-"""The table of how well networks move light."""
+"""The table of light-transport measurements."""
 
 from __future__ import annotations
 
@@ -49,8 +49,8 @@ def light_rows(file: Path) -> list[dict[str, str]]:
 def write_light_rows(rows: list[dict[str, Any]], file: Path) -> Path:
     """Into a table in which rows of the same KEY are replaced, and others stay."""
     new = {tuple(str(row.get(name, "")) for name in KEY) for row in rows}
-    stored = light_rows(file) if file.exists() else []
-    kept = [row for row in stored if tuple(row.get(name, "") for name in KEY) not in new]
+    old = light_rows(file) if file.exists() else []
+    kept = [row for row in old if tuple(row.get(name, "") for name in KEY) not in new]
     text = io.StringIO()
     writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
     writer.writeheader()

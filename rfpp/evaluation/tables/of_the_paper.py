@@ -1,4 +1,4 @@
-"""The paper's tables with our numbers beside the paper's, from the evaluation.json files of `launch/evaluate.py`.
+"""The paper's tables with our numbers beside the paper's, from the records of `launch/evaluate.py`.
 
 python -m rfpp.evaluation.tables data/runs/quickstart/latest/evaluation
 """
@@ -11,7 +11,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from rfpp.errors import UserError
-from rfpp.evaluation.measuring.evaluation_file import EVALUATION_FILE, read_evaluations
+from rfpp.evaluation.measuring.evaluation_collection import COLLECTION_FILE, read_evaluations, write_collection
+from rfpp.evaluation.measuring.evaluation_file import EVALUATION_FILE
 from rfpp.evaluation.tables.dot_plot import figure, png
 from rfpp.evaluation.tables.formats import write_table
 from rfpp.evaluation.tables.paper import TABLE_1, TABLE_2
@@ -21,7 +22,7 @@ from rfpp.files import write_atomically
 TABLES = Path("data/results/tables")
 
 DESCRIPTION = f"""\
-Finds every {EVALUATION_FILE} beneath the given paths and writes, each as .md, .tex and .csv:
+Finds every {EVALUATION_FILE} and {COLLECTION_FILE} beneath the given paths and writes, each as .md, .tex and .csv:
   table1, table2   every row of the paper's, its number beside ours or "not run"
   others           evaluations that neither of them has a place for, if there are any; also as a picture, .png"""
 EXAMPLE = "example: python -m rfpp.evaluation.tables data/runs/*/*/evaluation"
@@ -58,9 +59,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
     )
     parser.add_argument("paths", nargs="+", type=Path, metavar="PATH", help=f"a folder, or an {EVALUATION_FILE}")
     parser.add_argument("--output", default=TABLES, type=Path, metavar="FOLDER", help=f"for the tables ({TABLES})")
+    parser.add_argument(
+        "--collect", type=Path, metavar="FILE", help=f"also write all evaluations to one {COLLECTION_FILE}"
+    )
     chosen = parser.parse_args(arguments)
     try:
         files = write_tables(chosen.paths, chosen.output)
+        if chosen.collect:
+            files.append(write_collection(read_evaluations(chosen.paths), chosen.collect))
     except UserError as error:
         sys.exit(f"error: {error}")
     print(*files, sep="\n")

@@ -1,4 +1,4 @@
-"""From evaluations to the rows of a table: seeds of one training joined, splits and data sets averaged."""
+"""Build table rows from evaluations: join seeds, average splits and data sets."""
 
 from __future__ import annotations
 
@@ -94,15 +94,15 @@ def paper_table(table: PaperTable, evaluations: Sequence[Evaluation]) -> ResultT
             mine = [e for e in evaluations if e.method == row.method]
             runs = [r for r in _runs(mine, block.data, table.groups) if all(c.means for c in r.columns)]
             numbers = np.reshape(row.values, (len(table.groups), len(PAPER_METRICS))).tolist()
-            printed = [dict(zip(PAPER_METRICS, group, strict=True)) for group in numbers]
-            rows.append(Row(row.label, runs, printed, row.steps))
+            of_paper = [dict(zip(PAPER_METRICS, group, strict=True)) for group in numbers]
+            rows.append(Row(row.label, runs, of_paper, row.steps))
         blocks.append((block.heading, [*rows, *_baseline_rows(evaluations, block.data, table.groups)]))
     return ResultTable(table.name, table.title, table.groups, PAPER_METRICS, blocks)
 
 
-def other_table(evaluations: Sequence[Evaluation], shown: Sequence[Evaluation]) -> ResultTable:
-    """Every evaluation that no table has `shown` yet, a block for each data set."""
-    others = [e for e in evaluations if not any(e is other for other in shown)]
+def other_table(evaluations: Sequence[Evaluation], placed: Sequence[Evaluation]) -> ResultTable:
+    """Every evaluation that is not `placed` in another table, a block for each data set."""
+    others = [e for e in evaluations if not any(e is other for other in placed)]
     groups = {split: (split,) for e in others for split, _ in e.means}
     blocks = []
     for data in sorted({e.data for e in others}):

@@ -1,4 +1,4 @@
-"""The tables that an evaluation prints."""
+"""Tables printed by an evaluation."""
 
 from __future__ import annotations
 

@@ -10,7 +10,7 @@ import numpy as np
 from rfpp.errors import SceneError
 from rfpp.scene.mesh import Mesh
 from rfpp.scene.sampling.interval import Interval, freeze_intervals, uniform
-from rfpp.scene.sampling.open_region import OpenSide
+from rfpp.scene.sampling.open_region import OpenRegion
 from rfpp.scene.spec import Transform
 from rfpp.scene.triangles import rotation_matrix
 
@@ -36,13 +36,13 @@ class Background:
     Attributes:
         kind: a name from `KINDS`.
         meshes, transforms: one of each per panel, the floor first.
-        open_side: the region in front of all panels.
+        open_region: the region in front of all panels.
     """
 
     kind: str
     meshes: tuple[Mesh, ...]
     transforms: tuple[Transform, ...]
-    open_side: OpenSide
+    open_region: OpenRegion
 
     @property
     def triangle_count(self) -> int:
@@ -115,7 +115,7 @@ class BackgroundSampler:
             kind=kind,
             meshes=tuple(panel_mesh(panel) for panel in KINDS[kind]),
             transforms=transforms,
-            open_side=_open_side(KINDS[kind], transforms),
+            open_region=_open_region(KINDS[kind], transforms),
         )
 
 
@@ -131,11 +131,11 @@ def panel_mesh(panel: str) -> Mesh:
     return Mesh(vertices.reshape(-1, 3), quads[:, [[0, 1, 2], [0, 2, 3]]].reshape(-1, 3))
 
 
-def _open_side(panels: tuple[str, ...], transforms: tuple[Transform, ...]) -> OpenSide:
+def _open_region(panels: tuple[str, ...], transforms: tuple[Transform, ...]) -> OpenRegion:
     """The half-spaces in front of the transformed panels."""
     # A transform rotates, then scales: normals take the inverse scale.
     normals = np.stack(
         [rotation_matrix(t.rotation) @ PANELS[p] / np.array(t.scale) for p, t in zip(panels, transforms, strict=True)]
     )
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    return OpenSide(normals, np.einsum("pi,pi->p", normals, np.array([t.translation for t in transforms])))
+    return OpenRegion(normals, np.einsum("pi,pi->p", normals, np.array([t.translation for t in transforms])))

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rfpp.scene.sampling.interval import Interval, freeze_intervals, uniform
-from rfpp.scene.sampling.open_region import OpenSide, draw_target
+from rfpp.scene.sampling.open_region import OpenRegion, draw_target
 from rfpp.scene.spec import Camera
 
 
@@ -36,13 +36,13 @@ class CameraSampler:
     def __post_init__(self) -> None:
         freeze_intervals(self)
 
-    def sample(self, rng: np.random.Generator, open_side: OpenSide) -> tuple[Camera, ...]:
+    def sample(self, rng: np.random.Generator, open_region: OpenRegion) -> tuple[Camera, ...]:
         """`count` independent cameras."""
-        return tuple(self._camera(rng, open_side) for _ in range(self.count))
+        return tuple(self._camera(rng, open_region) for _ in range(self.count))
 
-    def _camera(self, rng: np.random.Generator, open_side: OpenSide) -> Camera:
+    def _camera(self, rng: np.random.Generator, open_region: OpenRegion) -> Camera:
         target = draw_target(rng, self.target_jitter)
-        position = open_side.draw_position(
+        position = open_region.draw_position(
             rng,
             target=target,
             distance=uniform(rng, self.distance),

@@ -113,10 +113,10 @@ class SceneFamily:
         """
         streams = scene_rng.spawn(7)
         background = self.backgrounds.sample(streams[0])
-        lights = self.lights.sample(streams[1], background.open_side)
+        lights = self.lights.sample(streams[1], background.open_region)
         targets = self.budget.sample(streams[2], taken=background.triangle_count + len(lights))
         drawn = [self.objects.sample(streams[3], int(target), held_out) for target in targets]
-        transforms = self.placement.sample(streams[4], [joined(parts) for parts in drawn], background.open_side)
+        transforms = self.placement.sample(streams[4], [joined(parts) for parts in drawn], background.open_region)
         objects = [
             SceneObject(name=name, mesh=mesh, material=self.materials.sample(streams[5]), transform=transform)
             for i, (parts, transform) in enumerate(zip(drawn, transforms, strict=True))
@@ -125,13 +125,13 @@ class SceneFamily:
         return Scene(
             name=self.name,
             objects=(*self._panels(streams[6], background), *objects, *lights),
-            cameras=self.cameras.sample(camera_rng, background.open_side),
+            cameras=self.cameras.sample(camera_rng, background.open_region),
         )
 
     def sample_cameras(self, scene_rng: np.random.Generator, camera_rng: np.random.Generator) -> tuple[Camera, ...]:
         """The cameras alone of `sample` with the same generators, at no more cost than theirs."""
         background = self.backgrounds.sample(scene_rng.spawn(7)[0])
-        return self.cameras.sample(camera_rng, background.open_side)
+        return self.cameras.sample(camera_rng, background.open_region)
 
     def _panels(self, rng: np.random.Generator, background: Background) -> list[SceneObject]:
         return [

@@ -1,4 +1,4 @@
-"""Closed intervals from which samplers draw: how a range is written in YAML, checked and sampled."""
+"""Closed intervals: validation and uniform sampling of ranges in YAML."""
 
 from __future__ import annotations
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from rfpp.scene.mesh import Mesh
 from rfpp.scene.sampling.interval import Interval, freeze_intervals, uniform, uniform_integer
-from rfpp.scene.sampling.open_region import OpenSide, draw_target
+from rfpp.scene.sampling.open_region import OpenRegion, draw_target
 from rfpp.scene.spec import Material, SceneObject, Transform
 
 #: RenderFormer's light, an equilateral triangle with edges of 0.087.
@@ -44,12 +44,12 @@ class LightSampler:
     def __post_init__(self) -> None:
         freeze_intervals(self)
 
-    def sample(self, rng: np.random.Generator, open_side: OpenSide) -> list[SceneObject]:
+    def sample(self, rng: np.random.Generator, open_region: OpenRegion) -> list[SceneObject]:
         """The lights of one scene, named light_0, light_1, …"""
         count = uniform_integer(rng, self.count)
         positions = np.empty((0, 3))
         for _ in range(count):
-            position = open_side.draw_position(
+            position = open_region.draw_position(
                 rng,
                 target=draw_target(rng, self.target_jitter),
                 distance=uniform(rng, self.distance),

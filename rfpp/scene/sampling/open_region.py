@@ -1,4 +1,4 @@
-"""The open side of a background: the convex region in front of its floor and walls."""
+"""The open region of a background: the convex space in front of its floor and walls."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _ATTEMPTS = 2000
 
 
 @dataclass(frozen=True, eq=False)
-class OpenSide:
+class OpenRegion:
     """Half-spaces, one per panel, the floor first; panels count as endless.
 
     The region is convex: what stands in it is hidden from nothing else in it by a panel. So cameras and lights that

@@ -1,4 +1,4 @@
-"""Where objects stand: rotations and positions without intersections."""
+"""Place objects without intersections."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from jaxtyping import Float
 from rfpp.errors import SceneError
 from rfpp.scene.mesh import Mesh
 from rfpp.scene.sampling.interval import Interval, freeze_intervals, uniform
-from rfpp.scene.sampling.open_region import OpenSide
+from rfpp.scene.sampling.open_region import OpenRegion
 from rfpp.scene.sampling.sizes import SizeSampler
 from rfpp.scene.spec import Transform
 from rfpp.scene.triangles import rotation_matrix
@@ -46,7 +46,7 @@ class Placement:
     def __post_init__(self) -> None:
         freeze_intervals(self)
 
-    def sample(self, rng: np.random.Generator, meshes: Sequence[Mesh], open_side: OpenSide) -> list[Transform]:
+    def sample(self, rng: np.random.Generator, meshes: Sequence[Mesh], open_region: OpenRegion) -> list[Transform]:
         """One transform for each normalised mesh, in their order.
 
         Raises:
@@ -56,24 +56,24 @@ class Placement:
         boxes = np.empty((0, 2, 3))
         transforms: list[Transform | None] = [None] * len(meshes)
         for i in np.argsort(-radii, kind="stable"):
-            transforms[i], box = self._placed(rng, meshes[i], radii[i], open_side, boxes)
+            transforms[i], box = self._placed(rng, meshes[i], radii[i], open_region, boxes)
             boxes = np.concatenate([boxes, box[None]])
         return transforms
 
     def _placed(
-        self, rng: np.random.Generator, mesh: Mesh, radius: float, open_side: OpenSide, boxes: np.ndarray
+        self, rng: np.random.Generator, mesh: Mesh, radius: float, open_region: OpenRegion, boxes: np.ndarray
     ) -> tuple[Transform, np.ndarray]:
         """A transform that keeps clear of the panels and of the boxes [N, 2, 3], and the world box [2, 3] it fills."""
         rotation = self._rotation(rng)
         floats = rng.random() < self.floating
         rotated = mesh.vertices @ rotation_matrix(tuple(rotation)).T
         unit_box = np.stack([rotated.min(axis=0), rotated.max(axis=0)])
-        unit_reach = (rotated @ open_side.normals.T).min(axis=0)  # [P] the vertex closest to each panel
+        unit_reach = (rotated @ open_region.normals.T).min(axis=0)  # [P] the vertex closest to each panel
         scale = 2 * radius  # a normalised mesh has radius 0.5
         for _ in range(_SHRINKS):
             box, reach = scale * unit_box, scale * unit_reach
-            centres = self._candidates(rng, box, reach, open_side, floats)
-            fits = self._fits(centres, box, reach, open_side, boxes)
+            centres = self._candidates(rng, box, reach, open_region, floats)
+            fits = self._fits(centres, box, reach, open_region, boxes)
             if fits.any():
                 centre = centres[fits.argmax()]
                 transform = Transform(
@@ -90,12 +90,12 @@ class Placement:
         return uniform(rng, self.rotation, 3)
 
     def _candidates(
-        self, rng: np.random.Generator, box: np.ndarray, reach: np.ndarray, open_side: OpenSide, floats: bool
+        self, rng: np.random.Generator, box: np.ndarray, reach: np.ndarray, open_region: OpenRegion, floats: bool
     ) -> np.ndarray:
         """[attempts, 3] centres with the box inside the cube sideways, resting on the floor or floating above it."""
         low, high = np.minimum(-_HALF_EXTENT - box[0], 0), np.maximum(_HALF_EXTENT - box[1], 0)
         centres = rng.uniform(low, high, (self.attempts, 3))
-        normal, offset = open_side.normals[0], open_side.offsets[0]
+        normal, offset = open_region.normals[0], open_region.offsets[0]
         resting = (offset + self.gap - reach[0] - centres[:, :2] @ normal[:2]) / normal[2]
         if floats:
             resting = resting + rng.random(self.attempts) * np.maximum(high[2] - resting, 0)
@@ -103,12 +103,12 @@ class Placement:
         return centres
 
     def _fits(
-        self, centres: np.ndarray, box: np.ndarray, reach: np.ndarray, open_side: OpenSide, boxes: np.ndarray
+        self, centres: np.ndarray, box: np.ndarray, reach: np.ndarray, open_region: OpenRegion, boxes: np.ndarray
     ) -> np.ndarray:
         """[attempts] bool: inside the cube, in front of every wall and clear of every box."""
         low, high = centres + box[0], centres + box[1]
         inside = ((low >= -_HALF_EXTENT) & (high <= _HALF_EXTENT)).all(axis=1)
-        in_front = (open_side.distances(centres)[:, 1:] + reach[1:] >= self.margin).all(axis=1)
+        in_front = (open_region.distances(centres)[:, 1:] + reach[1:] >= self.margin).all(axis=1)
         apart = (low[:, None] > boxes[:, 1] + self.margin) | (high[:, None] < boxes[:, 0] - self.margin)
         return inside & in_front & apart.any(axis=2).all(axis=1)
 

@@ -1,4 +1,4 @@
-"""How large objects are."""
+"""Object sizes."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""What watches a training run: consistency, image panels, throughput, signs of life."""
+"""Callbacks: consistency, image panels, throughput, checkpoints, use of network parts."""

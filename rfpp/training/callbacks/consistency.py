@@ -1,4 +1,4 @@
-"""Is the transport consistent? The residual of every iteration, step by step, and how it falls over k."""
+"""Log the transport consistency residual of every iteration."""
 
 from __future__ import annotations
 

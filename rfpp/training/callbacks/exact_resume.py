@@ -1,4 +1,4 @@
-"""What Lightning's checkpoints lack for a run to go on bit by bit: random states, and counters that fit other ranks."""
+"""State missing from Lightning checkpoints for bit-exact resumption: random states and rank-independent counters."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A guard: training never takes a step along a gradient that is not finite."""
+"""Stop training before a step with non-finite gradients."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Look at it: fixed validation scenes after every validation, beside their references and bounce by bounce."""
+"""Log panels of fixed validation scenes with references, bounce by bounce."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The learning rate of every step."""
+"""Log the learning rate."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Does the network use what it is made of? Asked at every validation."""
+"""Log at every validation whether the network uses its tokens, light and transport."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How much memory training takes."""
+"""Log memory use."""
 
 from __future__ import annotations
 

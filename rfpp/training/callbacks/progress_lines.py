@@ -1,4 +1,4 @@
-"""Progress of a training run where no bar can be shown."""
+"""Training progress as log lines."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Checkpoints to go on from, at step boundaries: every so many steps or minutes, at the end, and when told to stop."""
+"""Resumable checkpoints at step boundaries: periodically, at the end, and on request to stop."""
 
 from __future__ import annotations
 

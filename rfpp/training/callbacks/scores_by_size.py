@@ -1,4 +1,4 @@
-"""Validation by the size of the scene: are large scenes learnt too?"""
+"""Validation scores by scene size."""
 
 from __future__ import annotations
 

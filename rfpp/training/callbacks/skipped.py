@@ -1,4 +1,4 @@
-"""How many damaged scenes training went without."""
+"""Log the number of damaged scenes skipped."""
 
 from __future__ import annotations
 

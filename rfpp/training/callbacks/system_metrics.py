@@ -1,4 +1,4 @@
-"""What the machine does meanwhile: processor, memory, disk, network, and GPUs where NVIDIA's library is installed."""
+"""Log system metrics: CPU, memory, disk, network, and NVIDIA GPUs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How fast training goes, how much of the device it uses, and how much of the time it waits for data."""
+"""Log throughput, utilisation and time spent waiting for data."""
 
 from __future__ import annotations
 

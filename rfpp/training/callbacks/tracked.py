@@ -1,4 +1,4 @@
-"""What the run's logger must be told: checkpoints that are about to be written, and the best one at the end."""
+"""Keep the logger in step with checkpoints, and register the best one at the end."""
 
 from __future__ import annotations
 

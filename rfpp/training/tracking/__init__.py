@@ -1,4 +1,4 @@
-"""One run per run folder, with everything needed to know later what it was; in MLflow, or in the folder alone.
+"""Experiment tracking: one run per run folder, in MLflow or in the folder alone.
 
 `logger` and `local` are Lightning's ways in, `journal` what both write, `sending` how that comes to MLflow. Nothing
 imports MLflow but what talks to it: `logger`, `sending`, `store`, `models`, `datasets`.

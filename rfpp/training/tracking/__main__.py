@@ -1,4 +1,4 @@
-"""Send what MLflow lacks of runs whose server was away when they ended.
+"""Send the journals of runs that ended while the MLflow server was unreachable.
 
 python -m rfpp.training.tracking <run folder> …
 """

@@ -1,4 +1,4 @@
-"""The data set of a run, as MLflow shows it: name, digest, source, and how much there is."""
+"""Log a run's data set to MLflow."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What runs: its code, its settings, its machine."""
+"""Describe a run: code version, settings and machine."""
 
 from __future__ import annotations
 

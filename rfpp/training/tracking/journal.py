@@ -1,4 +1,4 @@
-"""The journal: whatever a run tells MLflow is first a line in the run's own folder."""
+"""The journal: a local log of everything a run sends to MLflow."""
 
 from __future__ import annotations
 

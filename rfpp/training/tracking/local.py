@@ -1,4 +1,4 @@
-"""The logger of a run that nothing tracks: its metrics stay in its folder, as a table."""
+"""Logger of untracked runs: metrics stay in the run's folder as CSV."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is learnt of a run after it has ended."""
+"""Log results to a finished run."""
 
 from __future__ import annotations
 

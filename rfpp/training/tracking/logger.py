@@ -1,4 +1,4 @@
-"""The logger of a run that MLflow tracks: one MLflow run, whatever happens to process, machine and server."""
+"""Logger of MLflow runs: one MLflow run per run folder, across restarts and server outages."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ class RunFolderLogger(RunLogger):
         return f"{run} at {self.tracking_uri}"
 
     def will_go_on(self) -> None:
-        """The run ends before its time, and this folder's next one sends what is left: waiting could take too long."""
+        """The run ends early; what is left is sent when it is resumed, instead of waiting now."""
         super().will_go_on()
         self.patience = min(self.patience, SECONDS_BEFORE_A_KILL)
 

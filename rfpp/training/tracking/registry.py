@@ -1,4 +1,4 @@
-"""From a name in MLflow's model registry to a checkpoint file."""
+"""Resolve names in MLflow's model registry to checkpoint files."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What every logger of a training run does, wherever what it logs goes from the run's folder."""
+"""Base class of the loggers: writes everything to the run folder's journal."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from rfpp.training.tracking.journal import JOURNAL, Journal
 
 
 class RunLogger(Logger):
-    """Writes all that it is told into the run folder's journal: who trains on in the folder logs on in it.
+    """Writes to the run folder's journal; resumed runs append to it.
 
     Args:
         run_name: in tables.
@@ -123,7 +123,7 @@ class RunLogger(Logger):
         self._journal.sync()
 
     def will_go_on(self) -> None:
-        """The run ends before its time, and this folder's next one logs on."""
+        """The run ends early and will be resumed in this folder."""
         self._statuses["failed"] = "KILLED"
 
     @rank_zero_only

@@ -1,4 +1,4 @@
-"""From the journal to MLflow, beside training and at MLflow's own pace."""
+"""Send the journal to MLflow in a background thread."""
 
 from __future__ import annotations
 
@@ -127,7 +127,7 @@ class Sender(threading.Thread):
             self.target = target
 
     def _complain(self, error: Exception) -> None:
-        """Once for each time that MLflow goes away."""
+        """Warn once per outage of MLflow."""
         if self.problem is None:
             warnings.warn(
                 f"MLflow at {self.target.tracking_uri} cannot be reached ({_line(error)}): training goes on, and "
@@ -137,7 +137,7 @@ class Sender(threading.Thread):
         self.problem = _line(error)
 
     def _refuse(self, kind: str, error: Exception) -> None:
-        """Once for each kind of record."""
+        """Warn once per kind of refused record."""
         if kind not in self._refused:
             self._refused.add(kind)
             warnings.warn(f"MLflow refused {kind} ({_line(error)}): not logged", stacklevel=1)

@@ -1,4 +1,4 @@
-"""Where MLflow keeps runs, and how one of ours is found or made there."""
+"""Find or create a run in an MLflow store."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ FOLDER_TAG = "run_folder_id"
 
 
 def connected(tracking_uri: str) -> MlflowClient:
-    """A client that fails soon and makes no words; the environment's own settings of MLflow's retries hold."""
+    """An MLflow client without retries or log noise, unless the environment configures retries."""
     logging.getLogger("mlflow.store.db.utils").setLevel(logging.WARNING)
     logging.getLogger("alembic").setLevel(logging.WARNING)
     for name, value in ONE_TRY.items():

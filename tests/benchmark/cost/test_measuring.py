@@ -25,7 +25,7 @@ from rfpp.evaluation.measuring.csv_files import write_rows
 CASE = Case(triangles=60, objects=5, views=2, resolution=16, scenes=1)
 SETTING = Setting(device="cpu", precision="bf16-mixed", threads=1, compile=False, seed=0)
 NETWORKS = {
-    "renderformer": Untrained("RenderFormer", model_config("+experiment=renderformer")),
+    "renderformer": Untrained("RenderFormer", model_config("experiment=renderformer")),
     "rfpp": Untrained("RenderFormer++", model_config()),
 }
 STEPS = ["training_step", "checkpointed_training_step", "least_memory_training_step"]
@@ -152,7 +152,7 @@ def test_networks_and_training_are_those_of_the_experiments():
     assert benchmark["networks"]["renderformer"]["model"] == NETWORKS["renderformer"].model
     assert benchmark["networks"]["rfpp"]["model"] == NETWORKS["rfpp"].model
     with initialize_config_dir(str(CONFIG_DIR), version_base="1.3"):
-        train = compose("train", overrides=["run_dir=unused", "+experiment=large_scale"])
+        train = compose("train", overrides=["run_dir=unused", "experiment=large_scale"])
     for name in TASKS["steps"]:
         assert benchmark["tasks"][name]["optimizer"] == OmegaConf.to_container(train.optimizer)
         assert benchmark["tasks"][name]["loss"] == {**OmegaConf.to_container(train.loss), "lpips_weight": 0}

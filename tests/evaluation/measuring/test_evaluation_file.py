@@ -1,14 +1,12 @@
 import json
 import math
-import shutil
 
 import pytest
 import torch
 from networks import checkpoint_info
 
-from rfpp.errors import UserError
 from rfpp.evaluation.measuring.confidence import Estimate
-from rfpp.evaluation.measuring.evaluation_file import EVALUATION_FILE, Evaluation, read_evaluations
+from rfpp.evaluation.measuring.evaluation_file import EVALUATION_FILE, Evaluation
 from rfpp.evaluation.measuring.training_cost import TrainingCost
 from rfpp.metrics.image import METRICS
 from rfpp.shards.manifest import Manifest
@@ -52,55 +50,3 @@ def test_the_file_is_strict_json_even_of_nan_and_infinity(evaluation, tmp_path) 
 def test_the_processor_is_named() -> None:
     assert hardware(torch.device("cpu")).endswith(" cores")
     assert len(hardware(torch.device("cpu")).partition(",")[0]) > 2
-
-
-def test_files_are_found_at_any_depth_and_copies_count_once(evaluation, tmp_path) -> None:
-    evaluation().write(tmp_path / "runs" / "a" / "evaluation")
-    other = evaluation(seed=1).write(tmp_path / "elsewhere")
-    shutil.copytree(tmp_path / "runs" / "a", tmp_path / "runs" / "artifacts")
-    assert [e.seed for e in read_evaluations([tmp_path / "runs", other])] == [0, 1]
-
-
-@pytest.mark.parametrize(
-    ("content", "message"),
-    [
-        (None, r"evaluation\.json: cannot be read \(No such file"),
-        ("{", r"evaluation\.json: not an evaluation .*launch/evaluate\.py"),
-        ('{"method": "x", "splits": {}}', r"evaluation\.json: not an evaluation"),
-        ('{"splits": {"test": {"model": {"l1": {"mean": 1}}}}}', r"evaluation\.json: not an evaluation"),
-        ("[]", r"evaluation\.json: not an evaluation"),
-    ],
-)
-def test_a_bad_file_is_one_line(tmp_path, content, message) -> None:
-    path = tmp_path / EVALUATION_FILE
-    if content is not None:
-        path.write_text(content)
-    with pytest.raises(UserError, match=message) as error:
-        read_evaluations([path])
-    assert "\n" not in str(error.value)
-
-
-def test_a_folder_without_any_is_named(tmp_path) -> None:
-    with pytest.raises(UserError, match=r"no evaluation\.json anywhere beneath: make one with launch/evaluate\.py"):
-        read_evaluations([tmp_path])
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        (
-            {"level": 0.2},
-            r"RenderFormer\+\+ \(trained on small_scale, 27000 steps, seed 0.* on 'small_scale' is not the",
-        ),
-        ({"seed": 1, "data_manifest": "newer"}, "the data set 'small_scale' is not the same here as in"),
-        (
-            {"seed": 1, "definitions": {"mape": "mean |x - y| / |y|"}},
-            r"'mape' is by now another metric .*: evaluate again",
-        ),
-    ],
-)
-def test_what_must_not_be_compared_is_refused(evaluation, tmp_path, changes, message) -> None:
-    first, second = evaluation().write(tmp_path / "a"), evaluation(**changes).write(tmp_path / "b")
-    with pytest.raises(UserError, match=message) as error:
-        read_evaluations([first, second])
-    assert str(second) in str(error.value)

@@ -90,7 +90,7 @@ def test_what_coarse_gbuffers_miss_of_known_light_does_not_count(split, tmp_path
 
 
 def test_networks_rivals_and_known_light_are_measured_alike(split, tmp_path):
-    net = network("+experiment=quickstart")
+    net = network("experiment=quickstart")
     predictors = {"known": None, "radiosity": UnlearnedRadiosity().eval(), "linear": net}
     found = measure(predictors, split, tmp_path, lambda: torch.autocast("cpu", enabled=False))
     assert found["known"].further().mean == pytest.approx(1.0, rel=1e-5)

@@ -5,6 +5,7 @@ import re
 
 import pytest
 
+from rfpp.evaluation.measuring.evaluation_collection import read_evaluations
 from rfpp.evaluation.measuring.training_cost import TrainingCost
 from rfpp.evaluation.tables.of_the_paper import main, result_tables, write_tables
 
@@ -161,6 +162,12 @@ def test_the_command_writes_and_names_its_files(evaluation, tmp_path, capsys) ->
     expected.add(tmp_path / "out" / "others.png")
     assert {str(path) for path in expected} == set(capsys.readouterr().out.split())
     assert all(path.is_file() for path in expected)
+
+
+def test_the_command_keeps_all_records_in_one_file(evaluation, tmp_path) -> None:
+    evaluation().write(tmp_path / "a")
+    main([str(tmp_path / "a"), "--output", str(tmp_path / "out"), "--collect", str(tmp_path / "evaluations.json")])
+    assert read_evaluations([tmp_path / "evaluations.json"]) == [evaluation()]
 
 
 def test_the_command_answers_a_bad_path_in_one_line(tmp_path, capsys) -> None:

@@ -47,15 +47,15 @@ def test_the_open_side_is_in_front_of_the_panels_as_they_stand_in_the_world(draw
         triangles = world(background)
         assert len(triangles) == background.triangle_count == 128 * len(KINDS[background.kind])
         for i, (start, end) in enumerate(zip(triangles.object_offsets, triangles.object_offsets[1:], strict=False)):
-            own = background.open_side.distances(triangles.positions[start:end].reshape(-1, 3))[:, i]
+            own = background.open_region.distances(triangles.positions[start:end].reshape(-1, 3))[:, i]
             assert own == pytest.approx(0, abs=1e-5)
-            facing = triangles.normals[start:end].reshape(-1, 3) @ background.open_side.normals[i]
+            facing = triangles.normals[start:end].reshape(-1, 3) @ background.open_region.normals[i]
             assert facing == pytest.approx(1, abs=1e-4)
 
 
 def test_the_centre_of_the_scene_is_well_inside_the_open_side(drawn):
     centre = np.random.default_rng(1).uniform(-0.2, 0.2, (200, 3))
-    assert min(b.open_side.distances(centre).min() for b in drawn) > 0
+    assert min(b.open_region.distances(centre).min() for b in drawn) > 0
 
 
 def test_panels_stay_within_their_ranges(drawn):

@@ -13,7 +13,7 @@ def drawn():
     """(background, camera) pairs, all kinds of background."""
     rng = np.random.default_rng(0)
     backgrounds = [FAMILY.backgrounds.sample(rng) for _ in range(400)]
-    return [(b, camera) for b in backgrounds for camera in FAMILY.cameras.sample(rng, b.open_side)]
+    return [(b, camera) for b in backgrounds for camera in FAMILY.cameras.sample(rng, b.open_region)]
 
 
 def test_four_cameras_a_scene(drawn):
@@ -35,8 +35,8 @@ def test_cameras_and_their_targets_are_in_front_of_every_panel(drawn):
     assert {b.kind for b, _ in drawn} == set(KINDS)
     for background, camera in drawn:
         ends = np.array([camera.position, camera.look_at])
-        assert background.open_side.distances(ends).min() > 0
-        assert background.open_side.distances(ends[0]).min() > FAMILY.cameras.clearance
+        assert background.open_region.distances(ends).min() > 0
+        assert background.open_region.distances(ends[0]).min() > FAMILY.cameras.clearance
 
 
 def test_distance_and_angle_are_uniform_and_everything_is_independent(drawn):

@@ -40,11 +40,11 @@ def test_the_triangle_budget_is_kept(name):
 
 def test_budgets_are_met_at_the_ends_of_the_range():
     for total in (3000, 10000):
-        exact = family("small_scale", f"scene.budget.scene=[{total},{total}]")
+        exact = family("small_scale", f"family.budget.scene=[{total},{total}]")
         scene = draw(exact, 0, 0)
         parts = sum(len(item.mesh) for item in scene.objects)
         assert total - 1 <= parts <= total  # one less where lights and background make the rest odd
-    assert draw(family("large_scale", "scene.budget.scene=[80000,80000]"), 1, 1).objects[-1].name.startswith("light")
+    assert draw(family("large_scale", "family.budget.scene=[80000,80000]"), 1, 1).objects[-1].name.startswith("light")
 
 
 def test_the_scene_total_is_uniform_where_the_budget_allows_all_of_it():
@@ -106,12 +106,12 @@ def test_the_camera_rng_moves_cameras_and_nothing_else():
 
 
 def test_cameras_depend_on_the_background_alone_and_not_on_what_else_the_scene_rng_draws():
-    few, many = family("quickstart", "scene.budget.objects=[3,3]"), family("quickstart", "scene.budget.objects=[8,8]")
+    few, many = family("quickstart", "family.budget.objects=[3,3]"), family("quickstart", "family.budget.objects=[8,8]")
     assert draw(few, 5, 6).cameras == draw(many, 5, 6).cameras
 
 
 def test_changing_one_component_leaves_the_others_as_they_were():
-    shiny = family("quickstart", "scene.materials.specular_share=[1.0,1.0]")
+    shiny = family("quickstart", "family.materials.specular_share=[1.0,1.0]")
     for before, after in zip(draw(QUICKSTART, 5, 6).objects, draw(shiny, 5, 6).objects, strict=True):
         assert before.transform == after.transform
         assert np.array_equal(before.mesh.vertices, after.mesh.vertices)

@@ -14,7 +14,7 @@ FAMILY = family("large_scale")
 def drawn():
     rng = np.random.default_rng(0)
     backgrounds = [FAMILY.backgrounds.sample(rng) for _ in range(400)]
-    return [(b, FAMILY.lights.sample(rng, b.open_side)) for b in backgrounds]
+    return [(b, FAMILY.lights.sample(rng, b.open_region)) for b in backgrounds]
 
 
 def test_one_to_eight_lights_all_counts_equally_often(drawn):
@@ -62,7 +62,7 @@ def test_every_corner_of_a_light_is_in_front_of_the_background(drawn):
     for background, lights in drawn:
         for light in lights:
             reach = 2.5 * np.linalg.norm(light.mesh.vertices, axis=1).max()
-            assert background.open_side.distances(np.array(light.transform.translation)).min() > reach
+            assert background.open_region.distances(np.array(light.transform.translation)).min() > reach
 
 
 def test_quantities_are_independent(drawn):

@@ -2,13 +2,13 @@ import numpy as np
 import pytest
 
 from rfpp.errors import SceneError
-from rfpp.scene.sampling.open_region import OpenSide
+from rfpp.scene.sampling.open_region import OpenRegion
 
-FLOOR = OpenSide(np.array([[0.0, 0.0, 1.0]]), np.array([-0.5]))
+FLOOR = OpenRegion(np.array([[0.0, 0.0, 1.0]]), np.array([-0.5]))
 
 
-def draw(rng, open_side=FLOOR, elevation=(0, 90), clearance=0.0, others=(), spacing=0.0):
-    return open_side.draw_position(rng, np.zeros(3), 2.0, elevation, clearance, np.reshape(others, (-1, 3)), spacing)
+def draw(rng, open_region=FLOOR, elevation=(0, 90), clearance=0.0, others=(), spacing=0.0):
+    return open_region.draw_position(rng, np.zeros(3), 2.0, elevation, clearance, np.reshape(others, (-1, 3)), spacing)
 
 
 def test_directions_are_uniform_over_the_hemisphere():
@@ -22,7 +22,7 @@ def test_directions_are_uniform_over_the_hemisphere():
 
 def test_elevation_and_clearance_are_kept():
     rng = np.random.default_rng(0)
-    tilted = OpenSide(np.array([[0.6, 0.0, 0.8], [0.0, -1.0, 0.0]]), np.array([-0.3, -0.4]))
+    tilted = OpenRegion(np.array([[0.6, 0.0, 0.8], [0.0, -1.0, 0.0]]), np.array([-0.3, -0.4]))
     for _ in range(200):
         point = draw(rng, tilted, elevation=(20, 50), clearance=0.25)
         assert 20 <= np.degrees(np.arcsin(point[2] / 2)) <= 50

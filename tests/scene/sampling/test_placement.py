@@ -10,14 +10,14 @@ from scipy.stats import kstest
 from rfpp.errors import SceneError
 from rfpp.scene.sampling.backgrounds import KINDS
 from rfpp.scene.sampling.objects.procedural import ProceduralObjects
-from rfpp.scene.sampling.open_region import OpenSide
+from rfpp.scene.sampling.open_region import OpenRegion
 from rfpp.scene.sampling.placement import UprightPlacement
 from rfpp.scene.sampling.sizes import UniformRadius
 from rfpp.scene.triangles import SceneTriangles, rotation_matrix
 
 PLACEMENT = family("quickstart").placement
 PEBBLE = ProceduralObjects(["pebble"], pool=100, held_out=0.1, stretched=0.5, deformed=0.0).mesh(0, 50)
-FLOOR = OpenSide(np.array([[0.0, 0.0, 1.0]]), np.array([-0.4]))
+FLOOR = OpenRegion(np.array([[0.0, 0.0, 1.0]]), np.array([-0.4]))
 
 
 def world_vertices(scene, kind):
@@ -90,7 +90,7 @@ def test_crowds_shrink_until_they_fit():
 
 
 def test_where_there_is_no_room_one_line_says_so():
-    above_the_cube = OpenSide(np.array([[0.0, 0.0, 1.0]]), np.array([0.6]))
+    above_the_cube = OpenRegion(np.array([[0.0, 0.0, 1.0]]), np.array([0.6]))
     with pytest.raises(SceneError, match="found no room"):
         PLACEMENT.sample(np.random.default_rng(0), [PEBBLE], above_the_cube)
 

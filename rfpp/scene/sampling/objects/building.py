@@ -1,4 +1,4 @@
-"""Making a library of objects: what is missing is prepared, in any number of processes, killed and resumed at will."""
+"""Build an object library in parallel; interrupted builds resume."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from rfpp.errors import SceneError, UserError
 from rfpp.files import write_atomically
 from rfpp.scene.sampling.objects.library import (
     INDEX,
-    Entry,
     Index,
     Library,
     LibraryObject,
     Prepared,
     Rejected,
+    StrictModel,
     encoded_mesh,
     mesh_path,
     record_path,
@@ -31,7 +31,7 @@ from rfpp.scene.sampling.objects.prepared import Original, PreparedObjects
 Map = Callable[[Callable[[Any], Any], Iterable[Any]], Iterator[tuple[Any, Any]]]
 
 
-class Record(Entry):
+class Record(StrictModel):
     """What became of an original of this stamp under this preparation."""
 
     stamp: str
@@ -147,7 +147,7 @@ def _index(source: PreparedObjects, outcomes: list[Prepared | Rejected]) -> Inde
         why = ", ".join(f"{count} {reason}" for reason, count in reasons.most_common()) or "none"
         raise SceneError(
             f"{source.library_root}: {len(prepared)} of {len(outcomes)} meshes became objects (rejected: {why}), and "
-            "two are needed, one for training and one for test scenes: bring more or change scene.objects.preparation"
+            "two are needed, one for training and one for test scenes: bring more or change family.objects.preparation"
         )
     held_out = _held_out([item.id for item in prepared], source.held_out)
     parts = {True: "held_out", False: "train"}

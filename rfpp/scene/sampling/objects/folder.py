@@ -25,7 +25,7 @@ class FolderObjects(PreparedObjects):
     def __post_init__(self) -> None:
         super().__post_init__()
         if not self.folder:
-            raise SceneError("scene.objects.folder is not given: add scene.objects.folder=/my/meshes")
+            raise SceneError("family.objects.folder is not given: add family.objects.folder=/my/meshes")
 
     @property
     def name(self) -> str:
@@ -38,7 +38,7 @@ class FolderObjects(PreparedObjects):
     def originals(self) -> list[Original]:
         """Files are told apart from changed ones by size and time."""
         if not self._path.is_dir():
-            raise SceneError(f"{self._path}: there is no such folder: correct scene.objects.folder")
+            raise SceneError(f"{self._path}: there is no such folder: correct family.objects.folder")
         files = sorted(p for p in self._path.rglob("*") if p.suffix.lower() in MESH_SUFFIXES and p.is_file())
         if not files:
             raise SceneError(f"{self._path}: holds no mesh: give a folder of {', '.join(MESH_SUFFIXES)} files")

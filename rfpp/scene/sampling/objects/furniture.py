@@ -1,4 +1,4 @@
-"""Objects from libraries of furniture as Sweet Home 3D has them."""
+"""Objects from Sweet Home 3D furniture libraries."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class FurnitureObjects(PreparedObjects):
     def __post_init__(self) -> None:
         super().__post_init__()
         if not self.files:
-            raise SceneError("scene.objects.files is empty: name the .sh3f files to take objects from")
+            raise SceneError("family.objects.files is empty: name the .sh3f files to take objects from")
         object.__setattr__(self, "files", tuple(self.files))
 
     @property
@@ -76,7 +76,7 @@ class FurnitureObjects(PreparedObjects):
         except OSError:
             raise SceneError(
                 f"{path}: there is no such file: install Debian's sweethome3d-furniture (`apt-get download "
-                "sweethome3d-furniture` and `dpkg -x` need no root) and give scene.objects.folder=<where it is>"
+                "sweethome3d-furniture` and `dpkg -x` need no root) and give family.objects.folder=<where it is>"
             ) from None
 
     def _path(self, file: str) -> Path:

@@ -28,13 +28,13 @@ from rfpp.scene.spec import first_problem
 INDEX = "library.json"
 
 
-class Entry(BaseModel):
+class StrictModel(BaseModel):
     """A part of the files that are written here: immutable, unknown keys refused."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
-class Prepared(Entry):
+class Prepared(StrictModel):
     """An original that became an object.
 
     Attributes:
@@ -61,7 +61,7 @@ class LibraryObject(Prepared):
     part: Literal["train", "held_out"]
 
 
-class Rejected(Entry):
+class Rejected(StrictModel):
     """An original that did not."""
 
     id: str
@@ -70,7 +70,7 @@ class Rejected(Entry):
     detail: str
 
 
-class Index(Entry):
+class Index(StrictModel):
     """The content of library.json, sorted by id. `settings` and `attribution` are those of its source."""
 
     version: Literal[1]

@@ -1,4 +1,4 @@
-"""Preparation of a mesh in the parts that its materials make of it."""
+"""Split a mesh by material and prepare the parts."""
 
 from __future__ import annotations
 

@@ -38,7 +38,7 @@ class ObjaverseObjects(PreparedObjects):
     def __post_init__(self) -> None:
         super().__post_init__()
         if not self.uids:
-            raise SceneError("scene.objects.uids is not given: add scene.objects.uids=/my/uids.txt")
+            raise SceneError("family.objects.uids is not given: add family.objects.uids=/my/uids.txt")
 
     @property
     def name(self) -> str:

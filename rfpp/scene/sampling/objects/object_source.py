@@ -1,4 +1,4 @@
-"""What a scene family asks of a source of objects."""
+"""Interface of object sources."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Preparation of one foreign mesh: clean-up, checks, decimation to the triangle tier, or a reason why not."""
+"""Prepare one imported mesh: clean up, check and decimate it, or reject it with a reason."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Sources whose objects are prepared before any scene is drawn."""
+"""Object sources that need preparation before sampling."""
 
 from __future__ import annotations
 
@@ -159,7 +159,7 @@ class PreparedObjects(ABC):
                 return normalized_together(sized)
         raise SceneError(
             f"{self.library_root}: none of {_ATTEMPTS} objects can have {target_faces} faces: "
-            "raise scene.budget.per_object or bring other meshes"
+            "raise family.budget.per_object or bring other meshes"
         )
 
 

@@ -1,4 +1,4 @@
-"""What the kinds of procedural solids are built with."""
+"""Building blocks of procedural solids."""
 
 from __future__ import annotations
 

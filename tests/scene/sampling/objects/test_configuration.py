@@ -20,7 +20,7 @@ FAMILIES = ["quickstart", "small_scale", "large_scale", "renderformer"]
 def generated(*overrides):
     """The scene family that `launch/generate.py` makes of a command line."""
     with initialize_config_dir(config_dir=str(CONF), version_base="1.3"):
-        return instantiate(compose("generate", list(overrides)).scene, _convert_="all")
+        return instantiate(compose("generate", list(overrides)).family, _convert_="all")
 
 
 @pytest.mark.parametrize("name", FAMILIES)
@@ -35,19 +35,19 @@ def test_every_family_shows_all_kinds_of_one_pool(name):
 
 @pytest.mark.parametrize("experiment", ["quickstart", "small_scale", "large_scale", "renderformer_data"])
 def test_a_folder_or_objaverse_takes_the_place_on_the_command_line(tmp_path, experiment):
-    command = [f"+experiment={experiment}", f"scene.objects.root={tmp_path}"]
-    folder = generated(*command, "scene/objects=folder", "scene.objects.folder=/my/meshes").objects
+    command = [f"experiment={experiment}", f"family.objects.root={tmp_path}"]
+    folder = generated(*command, "family/objects=folder", "family.objects.folder=/my/meshes").objects
     assert isinstance(folder, FolderObjects)
     assert folder.library_root == tmp_path / "meshes"
-    uids = generated(*command, "scene/objects=objaverse", "scene.objects.uids=/my/chairs.txt").objects
+    uids = generated(*command, "family/objects=objaverse", "family.objects.uids=/my/chairs.txt").objects
     assert isinstance(uids, ObjaverseObjects)
     assert uids.preparation == folder.preparation
     assert uids.preparation.max_faces >= 1200  # what scenes ask for is not refined needlessly
 
 
 def test_scenes_of_a_folder_keep_test_meshes_for_test_scenes(tmp_path):
-    overrides = ["scene/objects=folder", f"scene.objects.folder={fill(tmp_path / 'meshes')}"]
-    source = generated("+experiment=quickstart", *overrides, f"scene.objects.root={tmp_path / 'objects'}")
+    overrides = ["family/objects=folder", f"family.objects.folder={fill(tmp_path / 'meshes')}"]
+    source = generated("experiment=quickstart", *overrides, f"family.objects.root={tmp_path / 'objects'}")
     library = prepared(source.objects)
     boxes = {
         held_out: {

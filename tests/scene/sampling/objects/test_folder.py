@@ -256,7 +256,7 @@ def test_folders_without_meshes_are_named(tmp_path, name, message):
     (tmp_path / "empty").mkdir()
     with pytest.raises(SceneError, match=f"{name}: .*{message}"):
         prepared(source(tmp_path / name, tmp_path))
-    with pytest.raises(SceneError, match=r"folder is not given: add scene\.objects\.folder"):
+    with pytest.raises(SceneError, match=r"folder is not given: add family\.objects\.folder"):
         source("", tmp_path)
     with pytest.raises(SceneError, match="held_out is 1.0"):
         source(tmp_path, tmp_path, held_out=1.0)

@@ -133,5 +133,5 @@ def test_a_missing_list_is_named(tmp_path):
     (tmp_path / "chairs.txt").unlink()
     with pytest.raises(SceneError, match=r"chairs\.txt: cannot be read \(No such file"):
         objects.originals()
-    with pytest.raises(SceneError, match=r"uids is not given: add scene\.objects\.uids"):
+    with pytest.raises(SceneError, match=r"uids is not given: add family\.objects\.uids"):
         ObjaverseObjects("", 0.3, objects.preparation, None)
