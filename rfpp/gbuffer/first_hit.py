@@ -180,10 +180,10 @@ def stack_channels(
         UserError: a name that is no channel.
         ValueError: a channel of direct light, of reflection or of cells from a G-buffer that has none.
     """
-    channels = {name: channel(gbuffer, material, fov, name) for name in names}
-    stacked = np.empty((sum(of.shape[-1] for of in channels.values()), *gbuffer.depth.shape), np.float32)
+    channels = [channel(gbuffer, material, fov, name) for name in names]
+    stacked = np.empty((sum(of.shape[-1] for of in channels), *gbuffer.depth.shape), np.float32)
     row = 0
-    for of in channels.values():
+    for of in channels:
         stacked[row : row + of.shape[-1]] = of.transpose(2, 0, 1)
         row += of.shape[-1]
     return stacked

@@ -90,6 +90,8 @@ def test_channels_are_stacked_in_the_order_asked_for():
     np.testing.assert_array_equal(parts["roughness"][:, gbuffer.hit].T, row[:, 6:7])
     np.testing.assert_array_equal(parts["depth"][0], gbuffer.depth)
     np.testing.assert_array_equal(parts["normal"], gbuffer.normal.transpose(2, 0, 1))
+    twice = stack_channels(gbuffer, scene.material, 60, ["depth", "normal", "depth"])  # two networks may ask for it
+    np.testing.assert_array_equal(twice, np.stack([gbuffer.depth, *parts["normal"], gbuffer.depth]))
 
 
 def test_positions_lie_on_the_triangles_they_belong_to():
