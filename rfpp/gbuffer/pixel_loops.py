@@ -137,7 +137,7 @@ def lobe_rays(start, stop, scene, points, samples, reflects, key, glossy, light,
 
     Args:
         points: `rfpp.gbuffer.surface.Points`.
-        samples: rays of a point, at most: a mirror's are all one, and a weak or wide lobe shows less of their noise.
+        samples: rays of a point, at most: a mirror's are all one, and of a weak lobe less noise is seen.
         reflects: whether surfaces are of interest.
         glossy: [R, 3] of the emitters; what light samples have brought, to which it is added.
         light, albedo: [R, 3] to fill in: see `Reflection`.
@@ -199,4 +199,4 @@ def _rays(samples, alpha, specular):
     """Of a point's glossy lobe."""
     if alpha <= ggx.MIN_ALPHA:
         return 1
-    return min(max(int(np.ceil(samples * min(2 * specular, 1.0) * (1 - 0.5 * np.sqrt(alpha)))), 1), samples)
+    return min(max(int(np.ceil(samples * min(4 * specular, 1.0))), 1), samples)
