@@ -1,0 +1,181 @@
+"""Materials as glTF has them: the numbers of a Principled BSDF, and pictures of its colours.
+
+As Blender's own exporter does it, so that a scene that is sent looks like the scene that is exported.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .glb import Glb, png
+from .left_out import LeftOut
+
+#: Pixels along the longer side of pictures: they are averaged over triangles in the end.
+_SIDE = 1024
+
+_IGNORED = {
+    "Subsurface Weight": "Subsurface scattering is left out",
+    "Coat Weight": "Coats are left out",
+    "Sheen Weight": "Sheen is left out",
+    "Anisotropic": "Anisotropy is left out",
+    "Thin Film Thickness": "Thin films are left out",
+}
+
+
+class Materials:
+    """Of one scene.
+
+    Args:
+        pictures: PNG files by the name of their image, kept from one scene to the next.
+    """
+
+    def __init__(self, glb: Glb, left_out: LeftOut, pictures: dict[str, bytes]) -> None:
+        self._glb, self._left_out, self._pictures = glb, left_out, pictures
+        self._numbers: dict[str, int] = {}
+        self._textures: dict[str, int] = {}
+
+    def number(self, material) -> int | None:
+        """Of the entry of a `bpy.types.Material`; None for none."""
+        if material is None:
+            return None
+        if material.name_full not in self._numbers:
+            self._numbers[material.name_full] = self._glb.add("materials", self._entry(material))
+        return self._numbers[material.name_full]
+
+    def _entry(self, material) -> dict:
+        shader = _shader(material)
+        if shader is not None and shader.type == "BSDF_PRINCIPLED":
+            return {"name": material.name} | self._principled(material, shader)
+        if shader is not None and shader.type == "EMISSION":
+            entry = _surface((0, 0, 0, 1), 0.0, 1.0) | _specular(0.0)
+            glow = self._colour(material, shader, "Color"), self._value(material, shader, "Strength")
+            return {"name": material.name} | _with_emission(entry, *glow)
+        if material.use_nodes:
+            self._left_out.add("Materials without a Principled BSDF have their viewport colour", material.name)
+        return {"name": material.name} | _surface(material.diffuse_color, material.metallic, material.roughness)
+
+    def _principled(self, material, shader) -> dict:
+        value = {name: self._value(material, shader, name) for name in ("Metallic", "Roughness", "IOR", "Alpha")}
+        colour, alpha = self._colour(material, shader, "Base Color"), min(max(value["Alpha"], 0.0), 1.0)
+        picture = self._picture(material, shader, "Base Color")
+        entry = _surface((*((1, 1, 1) if picture else colour), alpha), value["Metallic"], value["Roughness"])
+        if picture:
+            entry["pbrMetallicRoughness"]["baseColorTexture"] = picture
+        if alpha < 1:
+            entry["alphaMode"] = "BLEND"
+        level, tint = self._value(material, shader, "Specular IOR Level"), self._colour(material, shader, "Specular Tint")
+        entry |= _specular(2 * level, tint, value["IOR"])
+        if (transmission := self._value(material, shader, "Transmission Weight")) > 0:
+            entry["extensions"]["KHR_materials_transmission"] = {"transmissionFactor": min(transmission, 1.0)}
+        for name, what in _IGNORED.items():
+            if name in shader.inputs and (shader.inputs[name].is_linked or shader.inputs[name].default_value > 0):
+                self._left_out.add(what, material.name)
+        if any(name in shader.inputs and shader.inputs[name].is_linked for name in ("Normal", "Coat Normal")):
+            self._left_out.add("Normal and bump maps are left out", material.name)
+        strength = self._value(material, shader, "Emission Strength")
+        entry = _with_emission(entry, self._colour(material, shader, "Emission Color"), strength)
+        if strength > 0 and (glow := self._picture(material, shader, "Emission Color")):
+            entry = _with_emission(entry, (1, 1, 1), strength) | {"emissiveTexture": glow}
+        return entry
+
+    def _value(self, material, shader, name: str) -> float:
+        if name not in shader.inputs:
+            return 0.0
+        socket, source = shader.inputs[name], _source(shader.inputs[name])
+        if source is None:
+            return float(socket.default_value)
+        if source.type == "VALUE":
+            return float(source.outputs[0].default_value)
+        self._left_out.add("Inputs driven by nodes have the value below", f"{name} of {material.name}")
+        return float(socket.default_value)
+
+    def _colour(self, material, shader, name: str) -> tuple[float, float, float]:
+        socket, source = shader.inputs[name], _source(shader.inputs[name])
+        if source is None:
+            return tuple(socket.default_value)[:3]
+        if source.type == "RGB":
+            return tuple(source.outputs[0].default_value)[:3]
+        if not _is_picture(source):
+            self._left_out.add("Inputs driven by nodes have the value below", f"{name} of {material.name}")
+        return tuple(socket.default_value)[:3]
+
+    def _picture(self, material, shader, name: str) -> dict | None:
+        """Of an image node that a colour comes from straight."""
+        source = _source(shader.inputs[name])
+        if source is None or not _is_picture(source):
+            return None
+        if source.inputs["Vector"].is_linked and _source(source.inputs["Vector"]).type != "UVMAP":
+            self._left_out.add("Textures lie as the active UV map has them", f"{name} of {material.name}")
+        image = source.image
+        if image.name_full not in self._textures:
+            if image.name_full not in self._pictures:
+                self._pictures[image.name_full] = _png(image)
+            self._textures[image.name_full] = self._glb.texture(self._pictures[image.name_full])
+        return {"index": self._textures[image.name_full]}
+
+
+def _shader(material):
+    """The node that the surface comes from, if there is one."""
+    if not material.use_nodes or material.node_tree is None:
+        return None
+    output = material.node_tree.get_output_node("ALL") or material.node_tree.get_output_node("CYCLES")
+    return None if output is None else _source(output.inputs["Surface"])
+
+
+def _source(socket):
+    """The node that feeds an input, past reroutes; None where its own value holds."""
+    while socket.is_linked and socket.links:
+        node = socket.links[0].from_node
+        if node.type != "REROUTE":
+            return node
+        socket = node.inputs[0]
+    return None
+
+
+def _is_picture(node) -> bool:
+    return node.type == "TEX_IMAGE" and node.image is not None and all(node.image.size)
+
+
+def _png(image) -> bytes:
+    """Of an image data-block, at most so large."""
+    width, height = image.size
+    values = np.empty(width * height * image.channels, np.float32)
+    image.pixels.foreach_get(values)
+    values = values.reshape(height, width, image.channels)[::-1]
+    step = -(-max(width, height) // _SIDE)
+    values = np.mean([values[i : height - step + 1 + i : step, j : width - step + 1 + j : step] for i in range(step)
+                      for j in range(step)], axis=0)  # fmt: skip
+    rgba = np.ones((*values.shape[:2], 4), np.float32)
+    rgba[..., : values.shape[-1]] = values if values.shape[-1] > 1 else 1.0
+    if values.shape[-1] < 3:
+        rgba[..., :3] = values[..., :1]
+    if image.is_float:  # linear; files of 8 bits come as they are stored
+        rgba[..., :3] = _srgb(rgba[..., :3])
+    return png((np.clip(rgba, 0, 1) * 255).round().astype(np.uint8))
+
+
+def _srgb(linear: np.ndarray) -> np.ndarray:
+    linear = np.clip(linear, 0, 1)
+    return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * np.maximum(linear, 0.0031308) ** (1 / 2.4) - 0.055)
+
+
+def _surface(colour, metallic: float, roughness: float) -> dict:
+    share = [min(max(float(value), 0.0), 1.0) for value in (*colour[:4], metallic, roughness)]
+    return {
+        "pbrMetallicRoughness": {"baseColorFactor": share[:4], "metallicFactor": share[4], "roughnessFactor": share[5]},
+        "extensions": {},
+    }
+
+
+def _specular(factor: float, tint=(1.0, 1.0, 1.0), ior: float = 1.5) -> dict:
+    """A factor above 1 is part of the colour, as glTF has it."""
+    colour = [max(0.0, float(c)) * max(factor, 1.0) for c in tint]
+    specular = {"specularFactor": min(max(factor, 0.0), 1.0), "specularColorFactor": colour}
+    return {"extensions": {"KHR_materials_specular": specular, "KHR_materials_ior": {"ior": max(float(ior), 0.0)}}}
+
+
+def _with_emission(entry: dict, colour, strength: float) -> dict:
+    emitted = [max(0.0, float(c) * float(strength)) for c in colour]
+    brightest = max(1.0, *emitted)
+    extensions = entry["extensions"] | {"KHR_materials_emissive_strength": {"emissiveStrength": brightest}}
+    return entry | {"emissiveFactor": [value / brightest for value in emitted], "extensions": extensions}
