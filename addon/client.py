@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import http.client
 import ipaddress
 import json
@@ -129,10 +130,8 @@ class Request:
         with self._lock:
             self._cancelled = True
             if self._connection.sock is not None:
-                try:
+                with contextlib.suppress(OSError):  # closed already
                     self._connection.sock.shutdown(socket.SHUT_RDWR)
-                except OSError:  # closed already
-                    pass
 
     def answer(self) -> bytes:
         """Raises ServerError, and Cancelled after `cancel`."""

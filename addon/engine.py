@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 
 import bpy
@@ -11,7 +12,7 @@ from .client import Server, ServerError, View
 from .export import exported
 from .jobs import Job, Newest
 from .panels import ENGINE, address
-from .views import NoView, camera_window, part_of, rows_of, shrunk, square_pixels, window_of
+from .views import NoView, Window, camera_window, part_of, rows_of, shrunk, square_pixels, window_of
 
 #: Seconds between looks at whether a picture has come, or nobody wants it any longer.
 _GLANCE = 0.05
@@ -34,7 +35,7 @@ class RfppEngine(bpy.types.RenderEngine):
         try:
             if scene.camera is None:
                 raise NoView("The scene has no camera: add one")
-            size, box, window = _final(self, depsgraph)
+            box, window = _final(self, depsgraph)
             content, left_out = exported(depsgraph, {})
             for line in left_out:
                 self.report({"WARNING"}, line)
@@ -88,18 +89,16 @@ class RfppEngine(bpy.types.RenderEngine):
             self._viewport.update(depsgraph)
         said = self._viewport.want(context, depsgraph)
         self.update_stats("rfpp", said)
-        if (picture := self._viewport.picture) is not None:
+        if self._viewport.picture is not None:
             self.bind_display_space_shader(depsgraph.scene)
-            _draw(picture, context.region)
+            self._viewport.draw(context.region)
             self.unbind_display_space_shader()
         if self._viewport.is_busy:
             bpy.app.timers.register(self._drawn_again, first_interval=_GLANCE)
 
     def _drawn_again(self) -> None:
-        try:
+        with contextlib.suppress(ReferenceError):  # the viewport is gone
             self.tag_redraw()
-        except ReferenceError:  # the viewport is gone
-            pass
 
 
 class Viewport:
@@ -109,6 +108,7 @@ class Viewport:
         self._newest: Newest | None = None
         self._scene, self._left_out = b"", 0
         self._pictures: dict[str, bytes] = {}
+        self._drawn: tuple[np.ndarray, object] | None = None  # a picture, and its texture
 
     @property
     def picture(self) -> np.ndarray | None:
@@ -127,6 +127,18 @@ class Viewport:
         self._left_out = len(left_out)
         if content != self._scene:
             self._scene = content
+
+    def draw(self, region) -> None:
+        """The newest picture, enlarged to the region."""
+        import gpu
+        from gpu_extras.presets import draw_texture_2d
+
+        picture = self.picture
+        if self._drawn is None or self._drawn[0] is not picture:
+            self._drawn = picture, _texture(picture)
+        gpu.state.blend_set("ALPHA_PREMULT")
+        draw_texture_2d(self._drawn[1], (0, 0), region.width, region.height)
+        gpu.state.blend_set("NONE")
 
     def want(self, context, depsgraph) -> str:
         """Ask for the picture of a 3D viewport as it is now; returns a line about it."""
@@ -153,8 +165,17 @@ class Viewport:
         return f"{self._left_out} things left out: F12 says which" if self._left_out else ""
 
 
-def _final(engine: RfppEngine, depsgraph) -> tuple[tuple[int, int], tuple[int, int, int, int], tuple]:
-    """(height, width) of all of the picture, x, y, width and height of what is rendered of it, and its window."""
+def _texture(picture: np.ndarray):
+    """On the GPU, row 0 at the bottom."""
+    import gpu  # there is none without a display
+
+    height, width, _ = picture.shape
+    pixels = gpu.types.Buffer("FLOAT", height * width * 4, np.ascontiguousarray(picture[::-1]).reshape(-1))
+    return gpu.types.GPUTexture((width, height), format="RGBA16F", data=pixels)
+
+
+def _final(engine: RfppEngine, depsgraph) -> tuple[tuple[int, int, int, int], Window]:
+    """X, y, width and height of what is rendered of the picture, and its window."""
     scene = depsgraph.scene_eval
     render, camera = scene.render, scene.camera.evaluated_get(depsgraph)
     size = tuple(int(side * render.resolution_percentage / 100) for side in (render.resolution_y, render.resolution_x))
@@ -167,25 +188,12 @@ def _final(engine: RfppEngine, depsgraph) -> tuple[tuple[int, int], tuple[int, i
         x, right = (int(side * size[1]) for side in (render.border_min_x, render.border_max_x))
         y, top = (int(side * size[0]) for side in (render.border_min_y, render.border_max_y))
         box = (x, y, max(right - x, 1), max(top - y, 1))
-    return size, box, part_of(window, size, box)
+    return box, part_of(window, size, box)
 
 
 def _pose(camera):
     """Without the scale of a camera, which Blender does not heed."""
     return camera.matrix_world.normalized()
-
-
-def _draw(picture: np.ndarray, region) -> None:
-    """Enlarged to the region."""
-    import gpu
-    from gpu_extras.presets import draw_texture_2d
-
-    height, width, _ = picture.shape
-    pixels = gpu.types.Buffer("FLOAT", height * width * 4, np.ascontiguousarray(picture[::-1]).reshape(-1))
-    texture = gpu.types.GPUTexture((width, height), format="RGBA16F", data=pixels)
-    gpu.state.blend_set("ALPHA_PREMULT")
-    draw_texture_2d(texture, (0, 0), region.width, region.height)
-    gpu.state.blend_set("NONE")
 
 
 def register() -> None:

@@ -8,6 +8,7 @@ from .glb import Glb
 from .left_out import LeftOut
 from .lights import add_light
 from .materials import Materials
+from .nodes import constant, surface_of, tree_of
 from .views import NoView, camera_window, gltf_camera, is_finite
 
 #: Kinds of objects that have surfaces, as `to_mesh` gives them, and that are nothing to be seen.
@@ -75,12 +76,13 @@ def _look_around(scene, left_out: LeftOut) -> None:
 
 def _shines(world) -> bool:
     """As far as is easily told."""
-    if not world.use_nodes or world.node_tree is None:
+    if tree_of(world) is None:
         return max(world.color) > 0
-    grounds = [node for node in world.node_tree.nodes if node.type == "BACKGROUND"]
-    if len(grounds) != 1 or any(grounds[0].inputs[name].is_linked for name in ("Color", "Strength")):
-        return bool(world.node_tree.nodes)
-    return grounds[0].inputs["Strength"].default_value * max(grounds[0].inputs["Color"].default_value[:3]) > 0
+    background = surface_of(world)
+    if background is None or background.type != "BACKGROUND":
+        return background is not None
+    colour, strength = (constant(background.inputs[key]) for key in ("Color", "Strength"))
+    return colour is None or strength is None or strength * max(colour[:3]) > 0
 
 
 class _Meshes:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -57,9 +56,9 @@ class Job:
 
 
 class Newest:
-    """Pictures of a view that keeps changing: small while it does, whole once it rests; outdated ones are never asked for.
+    """Pictures of a view that keeps changing: small while it does, whole once it rests.
 
-    A thread lives while there is something to do.
+    What is outdated is never asked for. A thread lives while there is something to do.
 
     Attributes:
         picture: the newest there is, [h, w, 4].

@@ -8,6 +8,7 @@ import numpy as np
 
 from .glb import Glb
 from .left_out import LeftOut
+from .nodes import constant, surface_of, tree_of
 
 #: glTF counts in candela and lux, which are so many to the watt, as Blender's exporter has it.
 _LUMENS_PER_WATT = 683.0
@@ -19,11 +20,9 @@ _KINDS = {"POINT": "point", "SPOT": "spot", "SUN": "directional"}
 
 def add_light(glb: Glb, light, name: str, matrix: np.ndarray, left_out: LeftOut) -> None:
     """A `bpy.types.Light`, where `matrix` [4, 4] has it."""
-    if light.use_nodes and light.node_tree is not None:
-        left_out.add("Nodes of lights are left out", name)
     if not light.use_shadow:
         left_out.add("Lights without shadows cast them", name)
-    watts = _watts(light, matrix)
+    watts = _watts(light, matrix) * _by_nodes(light, name, left_out)
     if not watts.any():
         return
     if light.type == "AREA":
@@ -49,6 +48,19 @@ def _watts(light, matrix: np.ndarray) -> np.ndarray:
 
         energy *= light.area(matrix_world=Matrix(matrix.tolist()))
     return np.maximum(energy * colour, 0.0)
+
+
+def _by_nodes(light, name: str, left_out: LeftOut) -> np.ndarray:
+    """[3] that its nodes multiply a light by."""
+    if tree_of(light) is None:
+        return np.ones(3)
+    shader = surface_of(light)
+    if shader is not None and shader.type == "EMISSION":
+        colour, strength = (constant(shader.inputs[key]) for key in ("Color", "Strength"))
+        if colour is not None and strength is not None:
+            return np.array(colour)[:3] * strength
+    left_out.add("Nodes of lights are left out", name)
+    return np.ones(3)
 
 
 def _add_area(glb: Glb, light, name: str, matrix: np.ndarray, watts: np.ndarray, left_out: LeftOut) -> None:

@@ -9,10 +9,12 @@ import numpy as np
 
 from .glb import Glb, png
 from .left_out import LeftOut
+from .nodes import constant, source, surface_of, tree_of
 
 #: Pixels along the longer side of pictures: they are averaged over triangles in the end.
 _SIDE = 1024
 
+_WITH_PICTURES = ("Base Color", "Emission Color")
 _IGNORED = {
     "Subsurface Weight": "Subsurface scattering is left out",
     "Coat Weight": "Coats are left out",
@@ -43,14 +45,14 @@ class Materials:
         return self._numbers[material.name_full]
 
     def _entry(self, material) -> dict:
-        shader = _shader(material)
+        shader = surface_of(material)
         if shader is not None and shader.type == "BSDF_PRINCIPLED":
             return {"name": material.name} | self._principled(material, shader)
         if shader is not None and shader.type == "EMISSION":
             entry = _surface((0, 0, 0, 1), 0.0, 1.0) | _specular(0.0)
             glow = self._colour(material, shader, "Color"), self._value(material, shader, "Strength")
             return {"name": material.name} | _with_emission(entry, *glow)
-        if material.use_nodes:
+        if tree_of(material) is not None:
             self._left_out.add("Materials without a Principled BSDF have their viewport colour", material.name)
         return {"name": material.name} | _surface(material.diffuse_color, material.metallic, material.roughness)
 
@@ -63,8 +65,8 @@ class Materials:
             entry["pbrMetallicRoughness"]["baseColorTexture"] = picture
         if alpha < 1:
             entry["alphaMode"] = "BLEND"
-        level, tint = self._value(material, shader, "Specular IOR Level"), self._colour(material, shader, "Specular Tint")
-        entry |= _specular(2 * level, tint, value["IOR"])
+        factor = 2 * self._value(material, shader, "Specular IOR Level")  # 0.5 is what the index of refraction gives
+        entry |= _specular(factor, self._colour(material, shader, "Specular Tint"), value["IOR"])
         if (transmission := self._value(material, shader, "Transmission Weight")) > 0:
             entry["extensions"]["KHR_materials_transmission"] = {"transmissionFactor": min(transmission, 1.0)}
         for name, what in _IGNORED.items():
@@ -79,57 +81,31 @@ class Materials:
         return entry
 
     def _value(self, material, shader, name: str) -> float:
-        if name not in shader.inputs:
-            return 0.0
-        socket, source = shader.inputs[name], _source(shader.inputs[name])
-        if source is None:
-            return float(socket.default_value)
-        if source.type == "VALUE":
-            return float(source.outputs[0].default_value)
-        self._left_out.add("Inputs driven by nodes have the value below", f"{name} of {material.name}")
-        return float(socket.default_value)
+        return float(self._constant(material, shader, name)) if name in shader.inputs else 0.0
 
     def _colour(self, material, shader, name: str) -> tuple[float, float, float]:
-        socket, source = shader.inputs[name], _source(shader.inputs[name])
-        if source is None:
-            return tuple(socket.default_value)[:3]
-        if source.type == "RGB":
-            return tuple(source.outputs[0].default_value)[:3]
-        if not _is_picture(source):
-            self._left_out.add("Inputs driven by nodes have the value below", f"{name} of {material.name}")
-        return tuple(socket.default_value)[:3]
+        return tuple(self._constant(material, shader, name))[:3]
+
+    def _constant(self, material, shader, name: str):
+        if (value := constant(shader.inputs[name])) is not None:
+            return value
+        if not (name in _WITH_PICTURES and _is_picture(source(shader.inputs[name]))):
+            self._left_out.add("Inputs driven by nodes have their own value", f"{name} of {material.name}")
+        return shader.inputs[name].default_value
 
     def _picture(self, material, shader, name: str) -> dict | None:
         """Of an image node that a colour comes from straight."""
-        source = _source(shader.inputs[name])
-        if source is None or not _is_picture(source):
+        node = source(shader.inputs[name])
+        if node is None or not _is_picture(node):
             return None
-        if source.inputs["Vector"].is_linked and _source(source.inputs["Vector"]).type != "UVMAP":
+        if (placed := source(node.inputs["Vector"])) is not None and placed.type != "UVMAP":
             self._left_out.add("Textures lie as the active UV map has them", f"{name} of {material.name}")
-        image = source.image
+        image = node.image
         if image.name_full not in self._textures:
             if image.name_full not in self._pictures:
                 self._pictures[image.name_full] = _png(image)
             self._textures[image.name_full] = self._glb.texture(self._pictures[image.name_full])
         return {"index": self._textures[image.name_full]}
-
-
-def _shader(material):
-    """The node that the surface comes from, if there is one."""
-    if not material.use_nodes or material.node_tree is None:
-        return None
-    output = material.node_tree.get_output_node("ALL") or material.node_tree.get_output_node("CYCLES")
-    return None if output is None else _source(output.inputs["Surface"])
-
-
-def _source(socket):
-    """The node that feeds an input, past reroutes; None where its own value holds."""
-    while socket.is_linked and socket.links:
-        node = socket.links[0].from_node
-        if node.type != "REROUTE":
-            return node
-        socket = node.inputs[0]
-    return None
 
 
 def _is_picture(node) -> bool:

@@ -3,11 +3,11 @@
 | Request | Body | Answer |
 |---|---|---|
 | GET / | | JSON: `protocol`, `network` |
-| POST /scenes | a GLB file, Z up as glTF has it | JSON: `scene`, a name for it, and `notes` on what could not be taken as it is |
-| POST /pictures | JSON, see `rfpp.serve.asked` | float32 [height, width, 4], little-endian, row 0 at the top: radiance, alpha |
+| POST /scenes | a GLB file | JSON: `scene`, a name for it, and `notes` on what could not be taken as it is |
+| POST /pictures | JSON, see `rfpp.serve.asked` | float32 [height, width, 4], little-endian: radiance and alpha |
 
-Errors are JSON: `error`, one line. 404 is a scene that is not known any longer. Every request has the header
-`Rfpp-Protocol`; a web page cannot send it without asking first, and is not answered.
+Errors are JSON: `error`, one line. 404 is a scene that is not known any longer. Row 0 of a picture is on top. Every
+request has the header `Rfpp-Protocol`; a web page cannot send it without asking first, and is not answered.
 """
 
 from __future__ import annotations
@@ -120,10 +120,10 @@ class _Handler(BaseHTTPRequestHandler):
     timeout = _PATIENCE
     server_version, sys_version = "rfpp", ""
 
-    def do_GET(self) -> None:  # noqa: N802
+    def do_GET(self) -> None:
         self._answer(self._about)
 
-    def do_POST(self) -> None:  # noqa: N802
+    def do_POST(self) -> None:
         self._answer({"/scenes": self._scene, "/pictures": self._picture}.get(self.path, self._nothing))
 
     def _about(self) -> bytes:
@@ -184,7 +184,9 @@ class _Handler(BaseHTTPRequestHandler):
             raise Refused(HTTPStatus.FORBIDDEN, why)
         given = self.headers.get(_HEADER)
         if given is None:
-            raise Refused(HTTPStatus.FORBIDDEN, f"requests without the header {_HEADER} are not answered: use the add-on")
+            raise Refused(
+                HTTPStatus.FORBIDDEN, f"requests without the header {_HEADER} are not answered: use the add-on"
+            )
         if given != str(PROTOCOL):
             raise Refused(HTTPStatus.UPGRADE_REQUIRED, f"this server speaks version {PROTOCOL}, the add-on "
                           f"{one_line(given, 10)}: install the add-on that `rfpp addon` writes")  # fmt: skip

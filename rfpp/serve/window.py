@@ -54,7 +54,8 @@ class Frame:
         if not math.isclose(pitch, (top - bottom) / height, rel_tol=_SQUARE):
             raise SceneError(f"window {edges} of {width} x {height}: its pixels are not square: make them so")
         rows, columns = (
-            patch * math.ceil(round(2 * max(map(abs, pair)) / pitch / patch, 3)) for pair in ((bottom, top), (left, right))
+            patch * math.ceil(round(2 * max(map(abs, pair)) / pitch / patch, 3))
+            for pair in ((bottom, top), (left, right))
         )
         if rows * columns > _MOST_AROUND * (height + patch) * (width + patch):
             raise SceneError(f"window {edges}: is too far off the middle: shift the lens less")

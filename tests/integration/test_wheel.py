@@ -11,7 +11,10 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 #: What the package carries of the source tree, and where.
-CARRIED = {"rfpp": "rfpp", "conf": "rfpp/_conf", "launch": "rfpp/_launch", "data/models": "rfpp/_models"}
+CARRIED = {
+    "rfpp": "rfpp", "addon": "rfpp/_addon", "conf": "rfpp/_conf", "launch": "rfpp/_launch",
+    "data/models": "rfpp/_models",
+}  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -63,6 +66,7 @@ def pip(verb: str, *arguments: str) -> None:
 def test_every_file_travels(wheel):
     kinds = {
         "rfpp": ("**/*.py", "evaluation/report/pages/*"),
+        "addon": ("*.py", "*.toml"),
         "conf": ("**/*.yaml",),
         "launch": ("*.py",),
         "data/models": ("*/*",),

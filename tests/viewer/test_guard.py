@@ -8,7 +8,6 @@ from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
 
-
 def get(viewer, **headers: str) -> int:
     connection = http.client.HTTPConnection(viewer.url.removeprefix("http://"), timeout=10)
     connection.request("GET", "/", headers=headers)

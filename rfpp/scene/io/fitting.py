@@ -1,7 +1,7 @@
 """An imported scene made into one that networks know.
 
 It is fitted into their box (`framing`), given a camera if it has none, put on a floor if it has no surroundings
-(`backdrop`), lit if it is dark (`light_rig`), and split into objects (`grouping`), each step with a warning that says so.
+(`backdrop`), lit if it is dark (`light_rig`), and split into objects (`grouping`). A warning says so of each step.
 """
 
 from __future__ import annotations

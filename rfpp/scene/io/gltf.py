@@ -39,7 +39,7 @@ def read_gltf(path: Path) -> ImportedScene:
 
 
 def received_glb(content: bytes, source: Path) -> ImportedScene:
-    """The scene in a GLB file that is not on the disk; `source` is what warnings call it. Otherwise like `read_gltf`."""
+    """Like `read_gltf`, of a GLB file that is not on the disk; `source` is what warnings call it."""
     return _scene(GltfFile.received(content), source)
 
 
