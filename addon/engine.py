@@ -44,8 +44,8 @@ class RfppEngine(bpy.types.RenderEngine):
                 rows_of(_pose(scene.camera.evaluated_get(depsgraph))),
                 window,
                 (box[3], box[2]),
-                scene.rfpp.light_samples,
-                scene.rfpp.supersampling,
+                depsgraph.scene.rfpp.light_samples,
+                depsgraph.scene.rfpp.supersampling,
                 scene.render.film_transparent,
             )
             picture = self._finished(Job(server, content, view))
@@ -142,7 +142,7 @@ class Viewport:
 
     def want(self, context, depsgraph) -> str:
         """Ask for the picture of a 3D viewport as it is now; returns a line about it."""
-        region, settings = context.region_data, depsgraph.scene_eval.rfpp
+        region, settings = context.region_data, depsgraph.scene.rfpp
         if not region.is_perspective:
             return "Orthographic views cannot be shown: press Numpad 5"
         size = (context.region.height, context.region.width)

@@ -46,7 +46,7 @@ def test_no_larger_than_it_needs_to_be():
         ((0.5, -0.5, -0.5, 0.5), (8, 8), "encloses nothing"),
         ((-0.5, 0.5, 0.5, 0.5), (8, 8), "encloses nothing"),
         ((-0.5, 0.5, -0.25, 0.25), (8, 8), "not square"),
-        ((100, 100.1, -0.05, 0.05), (64, 64), "too far off the middle"),
+        ((100.0, 100.1, -0.05, 0.05), (64, 64), "too far off the middle"),
         ((-1e-9, 1e-9, -1e-9, 1e-9 + 900), (1, 16384), "not square"),
     ],
 )
