@@ -49,7 +49,7 @@ class Materials:
         if shader is not None and shader.type == "BSDF_PRINCIPLED":
             return {"name": material.name} | self._principled(material, shader)
         if shader is not None and shader.type == "EMISSION":
-            entry = _surface((0, 0, 0, 1), 0.0, 1.0) | _specular(0.0)
+            entry = _surface((0, 0, 0), 0.0, 1.0) | _specular(0.0)
             glow = self._colour(material, shader, "Color"), self._value(material, shader, "Strength")
             return {"name": material.name} | _with_emission(entry, *glow)
         if tree_of(material) is not None:
@@ -57,18 +57,17 @@ class Materials:
         return {"name": material.name} | _surface(material.diffuse_color, material.metallic, material.roughness)
 
     def _principled(self, material, shader) -> dict:
-        value = {name: self._value(material, shader, name) for name in ("Metallic", "Roughness", "IOR", "Alpha")}
-        colour, alpha = self._colour(material, shader, "Base Color"), min(max(value["Alpha"], 0.0), 1.0)
+        metallic, roughness, ior = (self._value(material, shader, name) for name in ("Metallic", "Roughness", "IOR"))
         picture = self._picture(material, shader, "Base Color")
-        entry = _surface((*((1, 1, 1) if picture else colour), alpha), value["Metallic"], value["Roughness"])
+        colour = (1, 1, 1) if picture else self._colour(material, shader, "Base Color")
+        entry = _surface(colour, metallic, roughness)
         if picture:
             entry["pbrMetallicRoughness"]["baseColorTexture"] = picture
-        if alpha < 1:
-            entry["alphaMode"] = "BLEND"
         factor = 2 * self._value(material, shader, "Specular IOR Level")  # 0.5 is what the index of refraction gives
-        entry |= _specular(factor, self._colour(material, shader, "Specular Tint"), value["IOR"])
-        if (transmission := self._value(material, shader, "Transmission Weight")) > 0:
-            entry["extensions"]["KHR_materials_transmission"] = {"transmissionFactor": min(transmission, 1.0)}
+        entry |= _specular(factor, self._colour(material, shader, "Specular Tint"), ior)
+        alpha, transmission = constant(shader.inputs["Alpha"]), constant(shader.inputs["Transmission Weight"])
+        if alpha is None or alpha < 1 or transmission is None or transmission > 0:
+            self._left_out.add("Transparent materials are opaque", material.name)
         for name, what in _IGNORED.items():
             if name in shader.inputs and (shader.inputs[name].is_linked or shader.inputs[name].default_value > 0):
                 self._left_out.add(what, material.name)
@@ -136,11 +135,9 @@ def _srgb(linear: np.ndarray) -> np.ndarray:
 
 
 def _surface(colour, metallic: float, roughness: float) -> dict:
-    share = [min(max(float(value), 0.0), 1.0) for value in (*colour[:4], metallic, roughness)]
-    return {
-        "pbrMetallicRoughness": {"baseColorFactor": share[:4], "metallicFactor": share[4], "roughnessFactor": share[5]},
-        "extensions": {},
-    }
+    *rgb, metallic, roughness = (min(max(float(value), 0.0), 1.0) for value in (*colour[:3], metallic, roughness))
+    pbr = {"baseColorFactor": [*rgb, 1.0], "metallicFactor": metallic, "roughnessFactor": roughness}
+    return {"pbrMetallicRoughness": pbr, "extensions": {}}
 
 
 def _specular(factor: float, tint=(1.0, 1.0, 1.0), ior: float = 1.5) -> dict:
