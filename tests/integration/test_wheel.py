@@ -98,7 +98,7 @@ def test_a_command_finds_its_configuration(installed):
 
 
 def test_an_unknown_command_is_one_line(installed):
-    assert installed("trian", code=1).startswith("error: rfpp trian: no such command: choose from benchmark, ")
+    assert installed("trian", code=1).startswith("error: rfpp trian: no such command: choose from addon, benchmark, ")
 
 
 def test_another_projects_commit_is_not_taken_for_its_own(installed):
