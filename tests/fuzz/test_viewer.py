@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from mutations import JSON_VALUES
 
-from rfpp.viewer.guard import refusal
+from rfpp.own_machine import refusal
 from rfpp.viewer.received import choice, colour, number, vector
 
 pytestmark = pytest.mark.timeout(36_000)  # of thousands

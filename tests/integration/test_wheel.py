@@ -11,7 +11,10 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 #: What the package carries of the source tree, and where.
-CARRIED = {"rfpp": "rfpp", "conf": "rfpp/_conf", "launch": "rfpp/_launch", "data/models": "rfpp/_models"}
+CARRIED = {
+    "rfpp": "rfpp", "addon": "rfpp/_addon", "conf": "rfpp/_conf", "launch": "rfpp/_launch",
+    "data/models": "rfpp/_models",
+}  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -63,6 +66,7 @@ def pip(verb: str, *arguments: str) -> None:
 def test_every_file_travels(wheel):
     kinds = {
         "rfpp": ("**/*.py", "evaluation/report/pages/*"),
+        "addon": ("*.py", "*.toml"),
         "conf": ("**/*.yaml",),
         "launch": ("*.py",),
         "data/models": ("*/*",),
@@ -94,7 +98,7 @@ def test_a_command_finds_its_configuration(installed):
 
 
 def test_an_unknown_command_is_one_line(installed):
-    assert installed("trian", code=1).startswith("error: rfpp trian: no such command: choose from benchmark, ")
+    assert installed("trian", code=1).startswith("error: rfpp trian: no such command: choose from addon, benchmark, ")
 
 
 def test_another_projects_commit_is_not_taken_for_its_own(installed):

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
-from pathlib import Path
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -24,30 +22,69 @@ _VIEW = (0.5, -0.8, 0.45)  # from the front (-Y), the right and above
 _DISTANCE, _FOV = 1.8, (30.0, 60.0)  # of training's cameras
 
 
-def framed(scene: ImportedScene, path: Path) -> ImportedScene:
-    """The scene, scaled and moved so that its surfaces just fit into the box, their centre at its centre.
+@dataclass(frozen=True, eq=False)
+class Framing:
+    """Scaled and moved: a point p goes to (p - centre) · scale.
 
-    Left as it is where it lies inside already and fills half of it along some axis. Radiance stays; a lamp's intensity
-    is scaled by area, so that it lights the smaller scene as brightly.
-
-    Raises:
-        SceneError: without the file's name: nothing that a camera can see, or nothing with an extent.
+    Attributes:
+        scale: positive.
+        centre: [3] float64.
     """
-    low, high = bounds(scene.parts)
-    longest = float((high - low).max())
-    if not (0 < longest < math.inf):
-        raise SceneError("its surfaces have no extent: check the mesh and its scale")
-    if np.abs([low, high]).max() <= _HALF and longest >= _FILLS:
-        return scene
-    scale = 2 * _HALF / longest
-    centre = (low + high) / 2
-    warnings.warn(f"{path}: scaled by {scale:.4g} and centred, to fit into [-0.5, 0.5]³", stacklevel=4)
-    return replace(
-        scene,
-        parts=tuple(replace(part, vertices=(part.vertices - centre) * scale) for part in scene.parts),
-        lamps=tuple(_moved_lamp(lamp, scale, centre) for lamp in scene.lamps),
-        cameras=tuple(_moved_camera(camera, scale, centre) for camera in scene.cameras),
-    )
+
+    scale: float
+    centre: Float[np.ndarray, 3]
+
+    @classmethod
+    def of(cls, parts: Sequence[Part]) -> Framing:
+        """So that surfaces just fit into the box, their centre at its centre.
+
+        Nothing changes where they lie inside already and fill half of it along some axis.
+
+        Raises:
+            SceneError: without the file's name: nothing that a camera can see, or nothing with an extent.
+        """
+        low, high = bounds(parts)
+        longest = float((high - low).max())
+        if not (0 < longest < math.inf):
+            raise SceneError("its surfaces have no extent: check the mesh and its scale")
+        if np.abs([low, high]).max() <= _HALF and longest >= _FILLS:
+            return cls(1.0, np.zeros(3))
+        return cls(2 * _HALF / longest, (low + high) / 2)
+
+    @property
+    def changes_nothing(self) -> bool:
+        return self.scale == 1 and not self.centre.any()
+
+    def point(self, position: Float[np.ndarray, "*rows 3"]) -> Float[np.ndarray, "*rows 3"]:
+        """Where points go."""
+        return (position - self.centre) * self.scale
+
+    def lamp(self, lamp: Lamp) -> Lamp:
+        """Radiance stays: an intensity is scaled by area, so that it lights the smaller scene as brightly."""
+        strength = lamp.strength if lamp.kind == "directional" else lamp.strength * self.scale**2
+        return replace(lamp, strength=strength, position=self.point(lamp.position))
+
+    def camera(self, camera: Camera) -> Camera:
+        """The same view of the scene where it is now. Raises SceneError where that is too far away."""
+        position = self.point(np.array(camera.position))
+        forward = np.subtract(camera.look_at, camera.position)
+        return Camera(
+            position=tuple(position.tolist()),
+            look_at=tuple((position + forward / np.linalg.norm(forward)).tolist()),
+            up=camera.up,
+            fov=camera.fov,
+        )
+
+    def scene(self, scene: ImportedScene) -> ImportedScene:
+        """All of it."""
+        if self.changes_nothing:
+            return scene
+        return replace(
+            scene,
+            parts=tuple(replace(part, vertices=self.point(part.vertices)) for part in scene.parts),
+            lamps=tuple(map(self.lamp, scene.lamps)),
+            cameras=tuple(map(self.camera, scene.cameras)),
+        )
 
 
 def default_camera(parts: Iterable[Part]) -> Camera:
@@ -73,19 +110,3 @@ def bounds(parts: Iterable[Part]) -> tuple[Float[np.ndarray, 3], Float[np.ndarra
         raise SceneError("holds no surface that a camera can see (emissive ones are invisible): add what is to be lit")
     lows, highs = zip(*map(extent, seen), strict=True)
     return np.min(lows, axis=0), np.max(highs, axis=0)
-
-
-def _moved_lamp(lamp: Lamp, scale: float, centre: np.ndarray) -> Lamp:
-    strength = lamp.strength if lamp.kind == "directional" else lamp.strength * scale**2
-    return replace(lamp, strength=strength, position=(lamp.position - centre) * scale)
-
-
-def _moved_camera(camera: Camera, scale: float, centre: np.ndarray) -> Camera:
-    position = (np.array(camera.position) - centre) * scale
-    forward = np.subtract(camera.look_at, camera.position)
-    return Camera(
-        position=tuple(position.tolist()),
-        look_at=tuple((position + forward / np.linalg.norm(forward)).tolist()),
-        up=camera.up,
-        fov=camera.fov,
-    )

@@ -35,7 +35,16 @@ def read_gltf(path: Path) -> ImportedScene:
 
     Warns of what is left out. Raises SceneError, without the file's name.
     """
-    reader = _Reader(GltfFile(path))
+    return _scene(GltfFile.at(path), path)
+
+
+def received_glb(content: bytes, source: Path) -> ImportedScene:
+    """Like `read_gltf`, of a GLB file that is not on the disk; `source` is what warnings call it."""
+    return _scene(GltfFile.received(content), source)
+
+
+def _scene(file: GltfFile, path: Path) -> ImportedScene:
+    reader = _Reader(file)
     reader.materials.require_few_pixels()
     parts, lamps, cameras = [], [], []
     with np.errstate(all="ignore"):  # what becomes infinite or NaN is refused
@@ -101,11 +110,11 @@ class _Reader:
 
     def warn(self, path: Path) -> None:
         if textures := self.materials.textures.used:
-            warnings.warn(f"{path}: textures are averaged over each triangle ({textures})", stacklevel=4)
+            warnings.warn(f"{path}: textures are averaged over each triangle ({textures})", stacklevel=5)
         if self.materials.normal_maps:
             self.left_out["normal maps"] = None
         if self.left_out:
-            warnings.warn(f"{path}: left out: {', '.join(self.left_out)}", stacklevel=4)
+            warnings.warn(f"{path}: left out: {', '.join(self.left_out)}", stacklevel=5)
 
     def _poses(self) -> Iterator[tuple[int, Float[np.ndarray, "4 4"]]]:
         """World matrices of the nodes in the scene, parents first. Raises SceneError where they are no tree."""

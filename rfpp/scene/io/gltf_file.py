@@ -59,23 +59,35 @@ class GltfFile:
     """A .gltf or .glb file whose document is valid; buffers are read when they are asked for.
 
     Attributes:
-        path: of the file.
+        folder: where the files lie that it names; None: it may name none.
         document: its JSON.
+
+    Args:
+        text: the JSON, not yet read.
+        chunk: the binary chunk of a GLB file, if there is one.
 
     Raises:
         SceneError: without the file's name; also from every method.
     """
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        if path.suffix.lower() == ".glb":
-            content, self._chunk = _split(read_bytes(path))
-        else:
-            content, self._chunk = read_bytes(path, MAX_JSON_BYTES, "export it as .glb"), None
-        self.document: Document = parse_document(parse_json(content, "glTF 2.0"))
+    def __init__(self, text: bytes, chunk: bytes | memoryview | None, folder: Path | None) -> None:
+        self.folder, self._chunk = folder, chunk
+        self.document: Document = parse_document(parse_json(text, "glTF 2.0"))
         self._buffers: dict[int, bytes | memoryview] = {}
         self._elements = 0
         self._require_known_extensions()
+
+    @classmethod
+    def at(cls, path: Path) -> GltfFile:
+        """By its suffix."""
+        if path.suffix.lower() == ".glb":
+            return cls(*_split(read_bytes(path)), path.parent)
+        return cls(read_bytes(path, MAX_JSON_BYTES, "export it as .glb"), None, path.parent)
+
+    @classmethod
+    def received(cls, content: bytes) -> GltfFile:
+        """A GLB file that came without a folder."""
+        return cls(*_split(content), None)
 
     def entry(self, entries: Sequence[Entry], index: int, name: str) -> Entry:
         """`entries[index]`, of the document's list of that name."""
@@ -129,7 +141,9 @@ class GltfFile:
                 return base64.b64decode(encoded, validate=True)
             except (binascii.Error, ValueError):
                 raise SceneError("a data URI is not base64: export it again") from None
-        path = beside(self.path.parent, unquote(uri))
+        if self.folder is None:
+            raise SceneError(f"names the file '{one_line(uri, 60)}', which did not come with it: put it inside")
+        path = beside(self.folder, unquote(uri))
         try:
             return read_bytes(path)
         except SceneError as error:

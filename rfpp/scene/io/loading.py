@@ -1,37 +1,31 @@
 """Any scene file: which reader it needs, and what becomes of a scene that was not made for this project.
 
-RenderFormer's JSON and H5 are taken as they are. Everything else is fitted into the box that networks know
-(`framing`), given a camera if it has none, put on a floor if it has no surroundings (`backdrop`), lit if it is dark
-(`light_rig`), and split into objects (`grouping`), each step with a warning that says so.
+RenderFormer's JSON and H5 are taken as they are. Everything else is `fitted`.
 """
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
 from rfpp.errors import SceneError
 from rfpp.scene.budget import within_budget
-from rfpp.scene.io.backdrop import Backdrop, stood
-from rfpp.scene.io.framing import default_camera, framed
+from rfpp.scene.io.backdrop import Backdrop
+from rfpp.scene.io.fitting import Transparent, fitted
 from rfpp.scene.io.gltf import read_gltf
-from rfpp.scene.io.grouping import merged
-from rfpp.scene.io.imported_scene import ImportedScene, Part, name_of, z_up
-from rfpp.scene.io.light_rig import lit
+from rfpp.scene.io.imported_scene import ImportedScene, z_up
 from rfpp.scene.io.limits import require_bounded
 from rfpp.scene.io.obj import read_obj
 from rfpp.scene.io.ply import read_ply
 from rfpp.scene.io.renderformer_json import load_json
 from rfpp.scene.io.stl import read_stl
-from rfpp.scene.mesh import Mesh, extent, has_area
 from rfpp.scene.packed import PackedScene
-from rfpp.scene.spec import Material, Scene, SceneObject, Transform
-from rfpp.scene.triangles import DIFFUSE, EMISSION, ROUGHNESS, SPECULAR, world_meshes
+from rfpp.scene.spec import Scene
+from rfpp.scene.triangles import world_meshes
 
 #: Suffix → reader, and the axis that points up in the file; None where the reader turns it.
 _READERS: dict[str, tuple[Callable[[Path], ImportedScene], str | None]] = {
@@ -54,7 +48,7 @@ def load_scene(
     *,
     triangles: int | None = None,
     up: str | None = None,
-    transparent: Literal["opaque", "drop", "refuse"] = "opaque",
+    transparent: Transparent = "opaque",
     backdrop: Backdrop = "floor",
 ) -> Scene | PackedScene:
     """Read any scene.
@@ -112,35 +106,11 @@ def load_scene(
     return scene if triangles is None else within_budget(scene, triangles, f"{path}")
 
 
-def _imported(path: Path, up: str | None, transparent: str, backdrop: Backdrop) -> Scene:
+def _imported(path: Path, up: str | None, transparent: Transparent, backdrop: Backdrop) -> Scene:
     try:
-        scene = _folder(path, up) if path.is_dir() else _file(path, up)
-        require_bounded(sum(map(len, scene.parts)), len(scene.parts))
-        solid = tuple(part for part in _solid(scene, transparent, path) if len(part))
-        scene = framed(replace(scene, parts=solid), path)
-        cameras = scene.cameras
-        if not cameras:
-            warnings.warn(f"{path}: it has no camera: one is added, in front and above", stacklevel=3)
-            cameras = (default_camera(scene.parts),)
-        scene = stood(scene, backdrop, path)
-        objects = tuple(_objects(merged(lit(scene, cameras[0], path), path), path))
-        return Scene(name=name_of(scene.name, "scene"), objects=objects, cameras=cameras)
+        return fitted(_folder(path, up) if path.is_dir() else _file(path, up), path, transparent, backdrop).scene
     except SceneError as error:
         raise SceneError(f"{path}: {error}") from None
-
-
-def _solid(scene: ImportedScene, transparent: str, path: Path) -> tuple[Part, ...]:
-    """The parts, with those that light should pass through as opaque as the others, or without them."""
-    materials = list(dict.fromkeys(part.see_through for part in scene.parts if part.see_through))
-    if not materials:
-        return scene.parts
-    if transparent == "refuse":
-        raise SceneError(f"{materials[0]}: is transparent, which cannot be represented: make it opaque in the file, or "
-                         "load it with transparent=opaque or transparent=drop")  # fmt: skip
-    became = "opaque (transparent=drop leaves it out)" if transparent == "opaque" else "left out"
-    named = materials[0] + (f" and {len(materials) - 1} more transparent ones" if len(materials) > 1 else "")
-    warnings.warn(f"{path}: {named}: light cannot pass through a surface here, so it is {became}", stacklevel=4)
-    return tuple(part for part in scene.parts if transparent == "opaque" or not part.see_through)
 
 
 def _file(path: Path, up: str | None) -> ImportedScene:
@@ -173,32 +143,3 @@ def _folder(folder: Path, up: str | None) -> ImportedScene:
 def _turned(scene: ImportedScene) -> ImportedScene:
     """Y up made Z up. Only files without lamps and cameras do not say which axis it is."""
     return replace(scene, parts=tuple(replace(part, vertices=z_up(part.vertices)) for part in scene.parts))
-
-
-def _objects(parts: list[Part], path: Path) -> Iterator[SceneObject]:
-    """Meshes about their own centres, so that an object turns about itself when its transform is edited."""
-    for part in parts:
-        low, high = extent(part.vertices)
-        centre = (low + high) / 2
-        mesh = Mesh(part.vertices - centre, part.faces)
-        solid = has_area(Mesh(mesh.vertices + centre, part.faces))  # where it stands: numbers are coarser there
-        if not solid.any():
-            warnings.warn(f"{path}: '{part.name}' has no area and is left out", stacklevel=3)
-            continue
-        rows = part.material
-        areas = part.areas * solid
-        mean = np.average(rows, axis=0, weights=areas if areas.sum() > 0 else None).astype(np.float64)
-        mean[:7] = np.clip(mean[:7], 0, 1)
-        yield SceneObject(
-            name=part.name,
-            mesh=mesh,
-            material=Material(
-                diffuse=tuple(mean[DIFFUSE].tolist()),
-                specular=tuple(mean[SPECULAR].tolist()),
-                roughness=mean[ROUGHNESS].item(),
-                emissive=tuple(mean[EMISSION].tolist()),
-                smooth_shading=part.smooth,
-            ),
-            transform=Transform(translation=tuple(centre.tolist()), normalize=False),
-            face_material=None if (rows == rows[0]).all() else rows,
-        )

@@ -16,7 +16,7 @@ def require_sound(path: Path) -> None:
     try:
         match path.suffix.lower():
             case ".gltf" | ".glb":
-                GltfFile(path).require_sound_buffers()
+                GltfFile.at(path).require_sound_buffers()
             case ".ply":
                 read_header(read_bytes(path))
             case ".stl":

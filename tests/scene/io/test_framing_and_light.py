@@ -12,7 +12,7 @@ from rfpp.errors import SceneError
 from rfpp.gbuffer.first_hit import first_hit
 from rfpp.gbuffer.known_light import with_known_light
 from rfpp.gbuffer.light_sampler import LightSampler
-from rfpp.scene.io.framing import default_camera, framed
+from rfpp.scene.io.framing import Framing, default_camera
 from rfpp.scene.io.imported_scene import ImportedScene, Lamp, Part, plain_material
 from rfpp.scene.io.light_rig import USUAL, emitter, irradiance, lit
 from rfpp.scene.io.loading import load_scene
@@ -48,8 +48,7 @@ def test_surfaces_fill_the_box_and_everything_moves_with_them() -> None:
     far = part(FLOOR * (20, 10, 1) + (100, 50, 7))
     bulb = part(np.add(FLOOR, (100, 50, 900)), emission=3.0)
     before = ImportedScene("a", (far, bulb), (lamp(position=(100, 50, 27)), lamp("directional")), (camera,))
-    with pytest.warns(UserWarning, match=r"a\.glb: scaled by 0\.05 and centred, to fit into \[-0\.5, 0\.5\]³"):
-        after = framed(before, FILE)
+    after = Framing.of(before.parts).scene(before)
     np.testing.assert_allclose(after.parts[0].vertices, FLOOR * (1, 0.5, 1), atol=1e-12)
     np.testing.assert_allclose(after.parts[1].vertices.mean(axis=0), [0, 0, 893 * 0.05])  # lights may stand outside
     assert after.parts[1].material[0, EMISSION][0] == 3  # radiance stays
@@ -63,14 +62,14 @@ def test_surfaces_fill_the_box_and_everything_moves_with_them() -> None:
                                                  (FLOOR + 0.1, False)])  # fmt: skip
 def test_scenes_made_for_the_box_stay_as_they_are(vertices: np.ndarray, stays: bool) -> None:
     scene = ImportedScene("a", (part(vertices),))
-    assert (quietly(framed, scene, FILE) is scene) == stays
+    assert (Framing.of(scene.parts).scene(scene) is scene) == stays
 
 
 def test_what_has_no_extent_or_is_invisible_is_refused() -> None:
     with pytest.raises(SceneError, match="no extent"):
-        framed(ImportedScene("a", (part(FLOOR * 0),)), FILE)
+        Framing.of((part(FLOOR * 0),))
     with pytest.raises(SceneError, match="no surface that a camera can see"):
-        framed(ImportedScene("a", (part(emission=1.0),)), FILE)
+        Framing.of((part(emission=1.0),))
 
 
 @pytest.mark.parametrize("shape", [(1, 1, 1), (1, 1, 0.1), (0.1, 0.1, 1), (1, 0.2, 0.2)])

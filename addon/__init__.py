@@ -1,0 +1,18 @@
+"""rfpp as a render engine of Blender: scenes go to `rfpp serve` on this machine, pictures come back.
+
+Everything is here that runs inside Blender; it imports nothing but Blender, NumPy and the standard library.
+"""
+
+from . import engine, panels
+
+
+def register() -> None:
+    """Called by Blender."""
+    panels.register()
+    engine.register()
+
+
+def unregister() -> None:
+    """Called by Blender."""
+    engine.unregister()
+    panels.unregister()
