@@ -183,6 +183,13 @@ def test_rms_norm_equals_pytorch_in_value_and_gradient():
         torch.testing.assert_close(a, b, rtol=1e-5, atol=1e-6)
 
 
+@pytest.mark.parametrize("dtype", [torch.bfloat16, torch.float16])
+def test_rms_norm_of_small_values_does_not_depend_on_the_dtype(dtype):
+    """PyTorch's default eps is that of the dtype, which is larger than what it is added to here."""
+    norm, x = RMSNorm(64), 0.01 * torch.randn(3, 64)
+    torch.testing.assert_close(norm.to(dtype)(x.to(dtype)).float(), norm.float()(x), rtol=0.02, atol=0.02)
+
+
 def test_rotation_gradient_is_its_transpose():
     rotation = RelativeSpatialEncoding(18, 1)(torch.rand(3, 9).double())
     x = torch.randn(3, 2, 18, dtype=torch.float64, requires_grad=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import TypeVar
 
@@ -10,8 +10,9 @@ import trimesh
 
 from rfpp.errors import SceneError
 from rfpp.files import write_atomically
+from rfpp.scene.io.obj_meshes import read_obj_meshes
 from rfpp.scene.io.soundness import require_sound
-from rfpp.scene.mesh import Mesh
+from rfpp.scene.mesh import Mesh, joined
 
 T = TypeVar("T")
 
@@ -40,6 +41,8 @@ def load_material_groups(path: Path) -> tuple[Mesh, ...]:
 
 
 def _as_one(path: Path) -> Mesh:
+    if path.suffix.lower() == ".obj":
+        return joined(read_obj_meshes(path))
     if path.suffix.lower() in (".gltf", ".glb"):
         loaded = trimesh.load_scene(path, process=False, skip_materials=True).to_mesh()
     else:
@@ -48,6 +51,8 @@ def _as_one(path: Path) -> Mesh:
 
 
 def _by_material(path: Path) -> tuple[Mesh, ...]:
+    if path.suffix.lower() == ".obj":
+        return read_obj_meshes(path)
     loaded = trimesh.load_scene(path, process=False, skip_materials=True, group_material=True)
     groups = [group for group in loaded.dump() if isinstance(group, trimesh.Trimesh) and len(group.faces)]
     if not groups:
@@ -61,8 +66,6 @@ def _read(path: Path, reader: Callable[[Path], T]) -> T:
     if not path.is_file():
         raise SceneError(f"{path}: there is no such mesh file: correct the path")
     require_sound(path)
-    if path.suffix.lower() == ".obj":
-        _check_obj_indices(path)
     try:
         return reader(path)
     except SceneError as error:
@@ -76,25 +79,3 @@ def save_mesh(mesh: Mesh, path: Path) -> None:
     """Write an OBJ file that reads back exactly. Raises UserError if it cannot be written."""
     lines = [f"v {x} {y} {z}" for x, y, z in mesh.vertices] + [f"f {a} {b} {c}" for a, b, c in mesh.faces + 1]
     write_atomically(path, ("\n".join(lines) + "\n").encode())
-
-
-def _check_obj_indices(path: Path) -> None:
-    """Raise SceneError at the first face that names a vertex which the file does not have."""
-    vertices, named = 0, []
-    for number, line in _lines(path):
-        if line[:2] in ("v ", "v\t"):
-            vertices += 1
-        elif line[:2] in ("f ", "f\t"):
-            for index in (token.split("/")[0] for token in line.split("#")[0].split()[1:]):
-                if index.lstrip("-").isdigit():
-                    named.append((number, int(index), vertices + int(index) + 1 if int(index) < 0 else int(index)))
-    for number, written, index in named:
-        if not 1 <= index <= vertices:
-            raise SceneError(
-                f"{path}: line {number}: the face refers to vertex {written} of {vertices}: export the mesh again"
-            )
-
-
-def _lines(path: Path) -> Iterator[tuple[int, str]]:
-    with path.open(encoding="utf-8", errors="replace") as file:
-        yield from ((number, line.lstrip()) for number, line in enumerate(file, start=1))

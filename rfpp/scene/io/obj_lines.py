@@ -47,6 +47,11 @@ class Block:
         return np.cumsum(self.kinds == _FACE)
 
     @property
+    def faces(self) -> Int[np.ndarray, " faces"]:
+        """The lines that are faces, counted from 0."""
+        return np.flatnonzero(self.kinds == _FACE)
+
+    @property
     def others(self) -> Int[np.ndarray, " others"]:
         """The lines that are neither empty nor vectors nor faces, counted from 0."""
         return np.flatnonzero(self.kinds == _OTHER)

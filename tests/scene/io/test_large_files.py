@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 from rfpp.errors import SceneError
-from rfpp.scene.io import image_texture, number_lines, obj, obj_lines, ply_file, stl
+from rfpp.scene.io import image_texture, number_lines, obj_faces, obj_lines, ply_file, stl
 from rfpp.scene.io.loading import load_scene
 from rfpp.scene.io.obj import read_obj
 from rfpp.scene.io.ply import read_ply
@@ -42,8 +42,8 @@ def test_an_obj_file_of_too_many_lines_of_a_kind_is_refused_by_their_number(tmp_
 
 
 def test_only_so_many_unusual_lines_are_read_one_by_one(tmp_path: Path, monkeypatch) -> None:
-    monkeypatch.setattr(obj, "MAX_SINGLE_LINES", 20)
-    for module in (obj, ply_file, stl):
+    monkeypatch.setattr(obj_faces, "MAX_SINGLE_LINES", 20)
+    for module in (obj_faces, ply_file, stl):
         monkeypatch.setattr(module, "MAX_SINGLE_LINES", 20)
     refused(tmp_path / "a.obj", SQUARE + "f 1 2 3 # one\n" * 17, "more than 20 of its lines are written unusually")
     faces = "element face 21\nproperty list uchar int a\nproperty list uchar int vertex_indices\nend_header\n"
@@ -55,8 +55,8 @@ def test_only_so_many_unusual_lines_are_read_one_by_one(tmp_path: Path, monkeypa
 
 
 def test_an_unusual_line_leaves_the_rest_of_its_block_to_the_fast_reader(tmp_path: Path, monkeypatch) -> None:
-    monkeypatch.setattr(obj, "FEW_LINES", 4)
-    monkeypatch.setattr(obj, "MAX_SINGLE_LINES", 4)
+    monkeypatch.setattr(obj_faces, "FEW_LINES", 4)
+    monkeypatch.setattr(obj_faces, "MAX_SINGLE_LINES", 4)
     path = tmp_path / "a.obj"
     path.write_text(SQUARE + "f 1 2 3\n" * 50 + "f 1 2 4 # odd\n" + "f 2 3 4\n" * 50)
     faces = read_obj(path).parts[0].faces

@@ -139,7 +139,7 @@ REFUSED = {
     "a texture on no map": ("f 1 2 3\n", "map_Kd gone.png\n", "map_Kd needs texture coordinates"),
     "words for numbers": ("f 1 2 3\n", "Kd red\n", "my materials.mtl: line 2: 'red' where numbers"),
     "NaN": ("f 1 2 3\n", "Kd nan 0 0\n", "line 2: 'nan 0 0' where 3 finite numbers"),
-    "a bad index": ("f 1 2 9\n", "", "a face refers to vertex 9 of 4"),
+    "a bad index": ("f 1 2 9\n", "", "line 11: the face refers to vertex 9 of 4"),
     "index zero": ("f 1 2 0\n", "", "line 11: the face refers to vertex 0 of 4"),
     "a bad relative index": ("f 1 2 -9\n", "", "line 11: the face refers to vertex -9 of 4"),
     "a bad coordinate index": ("f 1/9 2/9 3/9\n", "", "a face refers to texture coordinate 9 of 4"),
