@@ -8,10 +8,9 @@ import zipfile
 from pathlib import Path
 
 from rfpp.files import write_atomically
-from rfpp.folders import carried
 
 #: What runs inside Blender, and nowhere else.
-FOLDER = carried("addon", "_addon")
+FOLDER = Path(__file__).parent / "addon"
 _MANIFEST = "blender_manifest.toml"
 _EPOCH = (1980, 1, 1, 0, 0, 0)  # the same files give the same bytes
 

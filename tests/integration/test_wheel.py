@@ -11,10 +11,7 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 #: What the package carries of the source tree, and where.
-CARRIED = {
-    "rfpp": "rfpp", "addon": "rfpp/_addon", "conf": "rfpp/_conf", "launch": "rfpp/_launch",
-    "data/models": "rfpp/_models",
-}  # fmt: skip
+CARRIED = {"rfpp": "rfpp", "conf": "rfpp/_conf", "launch": "rfpp/_launch", "data/models": "rfpp/_models"}
 
 
 @pytest.fixture(scope="module")
@@ -65,8 +62,7 @@ def pip(verb: str, *arguments: str) -> None:
 
 def test_every_file_travels(wheel):
     kinds = {
-        "rfpp": ("**/*.py", "evaluation/report/pages/*"),
-        "addon": ("*.py", "*.toml"),
+        "rfpp": ("**/*.py", "evaluation/report/pages/*", "serve/addon/*.toml"),
         "conf": ("**/*.yaml",),
         "launch": ("*.py",),
         "data/models": ("*/*",),

@@ -14,6 +14,6 @@ def addon(module: str) -> ModuleType:
     """One of them; the package itself, which imports Blender, is not imported."""
     if _NAME not in sys.modules:
         package = ModuleType(_NAME)
-        package.__path__ = [str(Path(__file__).parents[2] / "addon")]
+        package.__path__ = [str(Path(__file__).parents[2] / "rfpp" / "serve" / "addon")]
         sys.modules[_NAME] = package
     return importlib.import_module(f"{_NAME}.{module}")

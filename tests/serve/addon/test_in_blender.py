@@ -21,7 +21,7 @@ from rfpp.serve.extension import write_extension
 
 pytestmark = requires_blender
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 NOWHERE = "http://127.0.0.1:9"  # the port that discards; nobody listens there
 
 

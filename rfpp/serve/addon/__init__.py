@@ -1,6 +1,7 @@
 """rfpp as a render engine of Blender: scenes go to `rfpp serve` on this machine, pictures come back.
 
-Everything is here that runs inside Blender; it imports nothing but Blender, NumPy and the standard library.
+Everything is here that runs inside Blender; a program of its own that imports nothing but
+Blender, NumPy and the standard library.
 """
 
 from . import engine, panels
