@@ -37,3 +37,8 @@ try:
 except UserError as error:
     sys.exit(f"error: {error}")
 EOF
+
+echo "Compiling the loops over rays …"
+scratch=$(mktemp -d)
+"$venv/bin/python" launch/render.py scene=data/scenes/cornell_box.json cameras=0 resolution=16 output="$scratch" >/dev/null
+rm -r "$scratch"

@@ -99,7 +99,7 @@ def cell_of(table, key):
 def keys_each(start, stop, table, triangle, points, back, keys):
     """Keys of points."""
     for row in range(start, stop):
-        keys[row] = key_at(table, triangle[row], points[row], back[row])
+        keys[row] = key_at(table, triangle[row], triple(points[row]), back[row])
 
 
 @compiled
@@ -124,7 +124,7 @@ def followed(scene, table, ray, origin, way, density, key, light):
     if triangle < 0:
         return NOWHERE, NOWHERE
     cell = _cell_met(scene, table, triangle, way, there)
-    specular = scene.material[triangle, 3:6]
+    specular = triple(scene.material[triangle, 3:6])
     # a ray that starts on another surface, where two touch, ends where it starts: it is not seen from anywhere
     if scene.emitter[triangle] >= 0 or distance <= 0 or max(specular[0], specular[1], specular[2]) <= 0:
         return cell, NOWHERE
@@ -202,7 +202,7 @@ def cells_seen(start, stop, scene, table, points, point_of, width, key, diffuse,
                 continue
             u, v = _of_lattice(place + _TILE * _TILE * s, rays * _TILE * _TILE, of_tile)
             point, normal, alpha = triple(points.point[row]), triple(points.normal[row]), points.alpha[row]
-            specular = points.specular[row]
+            specular = triple(points.specular[row])
             first, second = tangents(normal)
             view = in_frame(points.eye[row], first, second, normal)
             mean_diffuse = (points.diffuse[row, 0] + points.diffuse[row, 1] + points.diffuse[row, 2]) / 3

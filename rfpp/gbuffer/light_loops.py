@@ -142,7 +142,7 @@ def gathered_each(start, stop, scene, points, samples, key, diffuse, glossy):
         normal, view = triple(points.normal[row]), triple(points.eye[row])
         shines = max(points.specular[row, 0], points.specular[row, 1], points.specular[row, 2]) > 0
         alpha = points.alpha[row] if shines and dot(normal, view) > 0 else -1.0
-        point, specular, own_key = triple(points.point[row]), points.specular[row], key_of(key, row)
+        point, specular, own_key = triple(points.point[row]), triple(points.specular[row]), key_of(key, row)
         direct_at(scene, ray, point, normal, view, alpha, specular, samples, own_key, True, diffuse[row], glossy[row])
 
 

@@ -87,7 +87,7 @@ def find_edges(points, sums, samples, height, width, reach, edge):
         own, pixel = sums[row], points.pixel[row]
         if own[WHOLE] > 0:
             seen[pixel] |= (CLEAR if own[VISIBLE] > 0 else 0) | (HIDDEN if own[VISIBLE] < own[WHOLE] else 0)
-        diffuse, specular = points.diffuse[row], points.specular[row]
+        diffuse, specular = points.diffuse[row], triple(points.specular[row])
         shine = (specular[0] + specular[1] + specular[2]) / 3
         lobe[pixel, 0] += own[LOBE] * shine
         lobe[pixel, 1] += own[SQUARES] * shine * shine
@@ -145,7 +145,7 @@ def lobe_rays(start, stop, scene, points, samples, reflects, key, glossy, light,
     ray = new_ray()
     diffuse_there, glossy_there = np.zeros(3), np.zeros(3)
     for row in range(start, stop):
-        alpha, specular = points.alpha[row], points.specular[row]
+        alpha, specular = points.alpha[row], triple(points.specular[row])
         if alpha < 0:
             continue
         point, normal = triple(points.point[row]), triple(points.normal[row])
@@ -177,9 +177,9 @@ def lobe_rays(start, stop, scene, points, samples, reflects, key, glossy, light,
             density = density_of_lobes(own_diffuse, own_specular, toward[2], by_lobe)
             shines = max(material[3], material[4], material[5]) > 0 and dot(its_normal, back) > 0
             its_alpha = blurred(alpha_of(scene, triangle), density) if shines else -1.0
-            of_ray = key_of(own_key, 2 + number)
+            of_ray, its_specular = key_of(own_key, 2 + number), triple(material[3:6])
             direct_at(
-                scene, ray, seen_from, its_normal, back, its_alpha, material[3:6], 1, of_ray, True, diffuse_there,
+                scene, ray, seen_from, its_normal, back, its_alpha, its_specular, 1, of_ray, True, diffuse_there,
                 glossy_there,
             )  # fmt: skip
             for c in range(3):

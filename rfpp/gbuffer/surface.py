@@ -12,7 +12,7 @@ from rfpp.gbuffer import ggx
 from rfpp.gbuffer.compiled import compiled
 from rfpp.gbuffer.first_hit import GBuffer, camera_positions
 from rfpp.gbuffer.lit_scene import CLEARANCE
-from rfpp.gbuffer.vectors import GOLDEN, normal_of, tangents
+from rfpp.gbuffer.vectors import GOLDEN, normal_of, tangents, triple
 from rfpp.scene.triangles import DIFFUSE, ROUGHNESS, SPECULAR, SceneTriangles
 
 
@@ -137,7 +137,8 @@ def _in_front(positions, triangle, position, normal, eye, point, view):
         else:
             wx, wy, wz = normal[row]
         view[row, 0], view[row, 1], view[row, 2] = wx, wy, wz
-        a, b, c = positions[triangle[row]].astype(np.float64)
+        corners = positions[triangle[row]]
+        a, b, c = triple(corners[0]), triple(corners[1]), triple(corners[2])
         x, y, z = normal_of(a, b, c)
         clearance = CLEARANCE / np.sqrt(x * x + y * y + z * z)
         if x * wx + y * wy + z * wz < 0:
