@@ -1,7 +1,5 @@
 """No loader process outlives the training that started it."""
 
-import os
-import signal
 import subprocess
 import sys
 import time
@@ -23,25 +21,33 @@ class Slow(Dataset):
 
     def __getitem__(self, index):
         Path(sys.argv[1], f"{index}.started").write_text(str(os.getpid()))
-        time.sleep(600)
+        if sys.argv[2] == "killed" or index:
+            time.sleep(600)
+        return index
 
 
 if __name__ == "__main__":
     loader = SceneLoader(Slow(), num_workers=2, multiprocessing_context="spawn", worker_init_fn=end_with_parent)
-    next(iter(loader))
+    next(batches := iter(loader))
+    while not Path(sys.argv[1], "1.started").exists():
+        time.sleep(0.1)
+    raise RuntimeError("validation failed")
 """
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="other systems leave it to PyTorch's own watch")
-def test_loader_processes_end_when_training_is_killed(tmp_path):
+@pytest.mark.parametrize("how", ["killed", "failed"])
+def test_loader_processes_end_when_training_is_killed_or_fails(how, tmp_path):
     script = tmp_path / "trains.py"
     script.write_text(TRAINS)
-    training = subprocess.Popen([sys.executable, script, tmp_path])
+    training = subprocess.Popen([sys.executable, script, tmp_path, how], stderr=subprocess.DEVNULL)
     try:
         children = [int(wait_for(tmp_path / f"{index}.started")) for index in range(2)]
-        assert all(running(child) for child in children)
+        assert how == "failed" or all(running(child) for child in children)
+        if how == "failed":
+            assert training.wait(timeout=120) == 1
     finally:
-        os.kill(training.pid, signal.SIGKILL)
+        training.kill()
         training.wait()
     until = time.monotonic() + 60
     while any(running(child) for child in children):
