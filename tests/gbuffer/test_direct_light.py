@@ -4,9 +4,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 from known_scenes import LIGHT, look_at, material, moved, pack, rigid_motion, sphere, square, still_life
 from marks import requires_blender
+from reference_presets import preset
 from scene_families import draw, family
 
 from rfpp.gbuffer import known_light, surface, threads
@@ -191,9 +191,8 @@ def test_agrees_with_cycles_direct_passes(in_process, name):
         described = draw(family("large_scale"), 1, 2) if name == "drawn" else load_scene(stored)
         scene, camera = SceneTriangles.from_scene(described), described.cameras[0]
         pose, fov = camera_to_world(camera), float(camera.fov)
-    quick = yaml.safe_load((ROOT / "conf" / "reference" / "preview.yaml").read_text())
     exact = {"samples": 256, "denoise": False, "adaptive_threshold": 0.0, "light_threshold": 0.0, "max_bounces": 0}
-    settings = {k: v for k, v in quick.items() if k != "_target_"} | exact | {"filter_width": 0.01, "threads": 1}
+    settings = preset("preview") | exact | {"filter_width": 0.01, "threads": 1}
     names = ["diffuse_direct", "diffuse_color", "glossy_direct", "glossy_color"]
     one_view = (pose[None].astype(np.float32), np.array([fov], np.float32))
     cycles = in_process(render_passes, scene, *one_view, 48, 48, CyclesSettings(**settings), names)

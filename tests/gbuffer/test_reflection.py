@@ -4,9 +4,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 from known_scenes import LIGHT, box, look_at, material, pack, sphere, square
 from marks import requires_blender
+from reference_presets import preset
 
 from rfpp.gbuffer.direct_light import direct_radiance
 from rfpp.gbuffer.first_hit import GBuffer, Reflection, channel, first_hit, stack_channels
@@ -102,13 +102,12 @@ def test_agrees_with_the_first_of_cycles_indirect_bounces(in_process, name):
         described = load_scene(ROOT / "data" / "scenes" / f"{name}.json")
         scene, camera = SceneTriangles.from_scene(described), described.cameras[0]
         pose, fov = camera_to_world(camera), float(camera.fov)
-    quick = yaml.safe_load((ROOT / "conf" / "reference" / "preview.yaml").read_text())
     exact = {
         "samples": 512, "denoise": False, "adaptive_threshold": 0.0, "light_threshold": 0.0, "max_bounces": 1,
         "diffuse_bounces": 1, "glossy_bounces": 1, "clamp_direct": 0.0, "clamp_indirect": 0.0, "caustics": True,
         "blur_glossy": 1.0, "filter_width": 0.01, "threads": 1,
     }  # fmt: skip
-    settings = {k: v for k, v in quick.items() if k != "_target_"} | exact
+    settings = preset("preview") | exact
     one_view = (pose[None].astype(np.float32), np.array([fov], np.float32))
     names = ["glossy_indirect", "glossy_color"]
     cycles = in_process(render_passes, scene, *one_view, 40, 40, CyclesSettings(**settings), names)

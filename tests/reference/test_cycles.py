@@ -5,13 +5,12 @@ import os
 import resource
 import signal
 import tempfile
-from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 from known_scenes import LIGHT, box, look_at, material, moved, pack, rigid_motion, sphere, square, still_life
 from marks import requires_blender
+from reference_presets import preset
 
 from rfpp.errors import SceneError, UserError
 from rfpp.gbuffer.first_hit import first_hit, object_ids
@@ -20,8 +19,7 @@ from rfpp.scene.camera import pixel_rays
 
 pytestmark = requires_blender
 
-CONF = Path(__file__).parents[2] / "conf" / "reference"
-QUICK = {k: v for k, v in yaml.safe_load((CONF / "preview.yaml").read_text()).items() if k != "_target_"}
+QUICK = preset("preview")
 RAW = {"denoise": False, "adaptive_threshold": 0.0, "clamp_indirect": 0.0, "threads": 1}
 
 

@@ -4,33 +4,24 @@ import builtins
 import dataclasses
 import importlib.util
 import subprocess
-from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 from known_scenes import still_life
+from reference_presets import preset
 
 from rfpp.errors import MissingDependencyError, UserError
 from rfpp.reference import cycles
 
-CONF = Path(__file__).parents[2] / "conf" / "reference"
-
-
-def stated(name: str) -> dict:
-    values = yaml.safe_load((CONF / f"{name}.yaml").read_text())
-    assert values.pop("_target_") == "rfpp.reference.cycles.CyclesSettings"
-    return values
-
 
 @pytest.mark.parametrize("name", ["preview", "training", "paper"])
 def test_every_setting_is_stated_in_yaml(name):
-    assert stated(name).keys() == {field.name for field in dataclasses.fields(cycles.CyclesSettings)}
-    cycles.CyclesSettings(**stated(name))
+    assert preset(name).keys() == {field.name for field in dataclasses.fields(cycles.CyclesSettings)}
+    cycles.CyclesSettings(**preset(name))
 
 
 def test_the_papers_reference_is_adaptive_and_denoised():
-    paper = stated("paper")
+    paper = preset("paper")
     assert (paper["samples"], paper["adaptive_threshold"], paper["denoise"]) == (4096, 0.01, True)
 
 
@@ -39,7 +30,7 @@ def test_the_papers_reference_is_adaptive_and_denoised():
 )
 def test_a_setting_that_blender_would_silently_change_is_refused(key, value):
     with pytest.raises(UserError, match=rf"reference\.{key} is {value}"):
-        cycles.CyclesSettings(**stated("preview") | {key: value})
+        cycles.CyclesSettings(**preset("preview") | {key: value})
 
 
 def test_without_blender_the_error_says_how_to_install_it(monkeypatch):
@@ -70,4 +61,4 @@ def test_rendering_without_blender_gives_the_same_advice(monkeypatch):
 
     monkeypatch.setattr(builtins, "__import__", without_bpy)
     with pytest.raises(MissingDependencyError, match=r"rfpp\[blender\]"):
-        cycles.render(still_life(), np.eye(4)[None], np.array([40.0]), 8, 8, cycles.CyclesSettings(**stated("preview")))
+        cycles.render(still_life(), np.eye(4)[None], np.array([40.0]), 8, 8, cycles.CyclesSettings(**preset("preview")))
