@@ -1,5 +1,7 @@
 """The benchmarks of edits and of large scenes, small: what they count is exact, what they time is not tested."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from hydra import compose, initialize_config_dir
@@ -46,8 +48,8 @@ def test_a_large_scene_is_rendered_and_weighed():
     )
     assert [row["step"] for row in rows] == ["triangles packed", "rendered", "rendered with an object moved"]
     peaks = [row["peak_GB"] for row in rows]
-    assert peaks == sorted(peaks)
     # the kernel counts pages for each thread and adds them up now and then
+    assert all(later > 0.999 * earlier for earlier, later in pairwise(peaks))
     assert 0.05e9 < 1e9 * peaks[-1] < 1.01 * peak_resident()
 
 
