@@ -66,7 +66,7 @@ class Structure:
     """An acceleration structure over M > 0 triangles.
 
     Args:
-        corners: [M, 3, 3] float32; read in place.
+        corners: [M, 3, 3]; copied, since Embree reads them as long as this lives.
 
     Attributes:
         address: of the scene, for `closest` and `blocked`; valid as long as this lives.
