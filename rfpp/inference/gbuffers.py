@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
 from functools import partial
-from hashlib import blake2b
 from typing import Any
 
 import numpy as np
@@ -28,6 +27,7 @@ from rfpp.gbuffer.light_sampler import LightSampler
 from rfpp.gbuffer.object_light import object_light
 from rfpp.gbuffer.raycast import RayCaster
 from rfpp.inference.bounded_cache import BoundedCache
+from rfpp.inference.digest import digest_of
 from rfpp.scene.packed import PackedScene
 from rfpp.scene.triangles import SceneTriangles
 
@@ -101,7 +101,7 @@ class GBufferSource:
     def object_light(self, triangles: SceneTriangles) -> Float[np.ndarray, "o 3"]:
         """See `rfpp.gbuffer.object_light`."""
         geometry = _geometry(triangles)
-        key = ("object light", geometry, _digest(triangles.material))
+        key = ("object light", geometry, digest_of(triangles.material))
         size = _BYTES_PER_OBJECT * triangles.num_objects
         return self._kept.recall(key, size, lambda: object_light(self._lights(triangles, geometry)))
 
@@ -120,7 +120,7 @@ class GBufferSource:
         return {name: known[name]() for name in names}
 
     def _cells(self, triangles: SceneTriangles, geometry: bytes, light: str | None) -> tuple[Cells, CellMap]:
-        key = ("cells", geometry, _digest(triangles.material), light)
+        key = ("cells", geometry, digest_of(triangles.material), light)
         size = _CELL_BYTES_PER_TRIANGLE * len(triangles)
         return self._kept.recall(key, size, lambda: find_cells(self._lights(triangles, geometry, light)))
 
@@ -142,7 +142,7 @@ class GBufferSource:
         return self._kept.recall(view, _BYTES_PER_PIXEL * height * width, cast)
 
     def _lights(self, triangles: SceneTriangles, geometry: bytes, light: str | None = None) -> LightSampler:
-        key = ("lights", geometry, _digest(triangles.material))  # all materials: it knows what surfaces reflect
+        key = ("lights", geometry, digest_of(triangles.material))  # all materials: it knows what surfaces reflect
         size = _SAMPLER_BYTES_PER_TRIANGLE * len(triangles)
         lights = self._kept.recall(key, size, lambda: LightSampler(triangles, self._shadow_caster(triangles, geometry)))
         return lights if light is None else lights.only(light)
@@ -153,11 +153,4 @@ class GBufferSource:
 
 
 def _geometry(triangles: SceneTriangles) -> bytes:
-    return _digest(triangles.positions, triangles.normals, triangles.is_emissive, triangles.object_offsets)
-
-
-def _digest(*arrays: np.ndarray) -> bytes:
-    digest = blake2b(digest_size=16)
-    for array in arrays:
-        digest.update(np.ascontiguousarray(array))
-    return digest.digest()
+    return digest_of(triangles.positions, triangles.normals, triangles.is_emissive, triangles.object_offsets)

@@ -2,22 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from hashlib import blake2b
 from itertools import pairwise
 
 import numpy as np
 import torch
 from jaxtyping import Float
+from threadpoolctl import threadpool_limits
 from torch import Tensor
 
 from rfpp.batch import RaggedBatch
+from rfpp.gbuffer.threads import cores
 from rfpp.inference.bounded_cache import BoundedCache
 from rfpp.model.renderformer_pp import EncodedScenes, RenderFormerPP
 from rfpp.model.tokenizer import SceneTokens
 
 #: Triangles encoded at a time on a GPU, which one object would leave idle; this many bound the memory.
 _GPU_TRIANGLES = 1 << 15
+#: Triangles of an object whose matrix products are worth more than one core.
+_MANY_TRIANGLES = 1 << 13
 
 
 class ObjectEncoder:
@@ -30,8 +35,9 @@ class ObjectEncoder:
     tokens are those of its old place up to rounding only, because the rotary angles are those of world coordinates.
 
     On a CPU every object is encoded alone. The sums inside a matrix product are ordered by its shape, so tokens of
-    objects that share one differ in the last bits with the company; alone, they are the same bits in every scene. On
-    a GPU objects are encoded together and the tokens are the same up to rounding.
+    objects that share one differ in the last bits with the company; alone, they are the same bits in every scene. Small
+    objects are encoded side by side, each on one core: their products are too short to be divided. On a GPU objects are
+    encoded together and the tokens are the same up to rounding.
 
     Args:
         network: with object tokens, in evaluation mode, on `device`; its weights must not change from here on.
@@ -68,14 +74,39 @@ class ObjectEncoder:
         keys = object_keys(batch, self.network.tokenizer.reads)
         tokens = {key: self._kept.get(key) for key in keys}
         missing = {key: number for number, key in enumerate(keys) if tokens[key] is None}
-        for numbers in batch.object_chunks(list(missing.values()), self._triangles_at_once):
+        chunks = list(batch.object_chunks(list(missing.values()), self._triangles_at_once))
+        for numbers, made in zip(chunks, self._made(batch, chunks), strict=True):
             self.encoded += len(numbers)
-            made = self.network.tokens(batch.only(numbers).to(self.device)).split(len(numbers))
             for number, part in zip(numbers, made, strict=True):
                 tokens[keys[number]] = part
                 self._kept.put(keys[number], part, _bytes(part))
         whole = SceneTokens.joined([tokens[key] for key in keys], batch.scenes.lengths)
         return exposure.to(self.device), self.network.source(whole, batch)
+
+    def _made(self, batch: RaggedBatch, chunks: Sequence[list[int]]) -> Iterator[list[SceneTokens]]:
+        """The tokens of each object of each chunk."""
+        inference, dtype = torch.is_inference_mode_enabled(), torch.get_autocast_dtype(self.device.type)
+        autocast = torch.is_autocast_enabled(self.device.type)
+
+        def make(numbers: list[int]) -> list[SceneTokens]:
+            # modes are those of a thread
+            with torch.inference_mode(inference), torch.autocast(self.device.type, dtype, enabled=autocast):
+                return self.network.tokens(batch.only(numbers).to(self.device)).split(len(numbers))
+
+        if self.device.type != "cpu":
+            yield from map(make, chunks)
+            return
+        small = [sum(batch.objects.lengths[number] for number in chunk) < _MANY_TRIANGLES for chunk in chunks]
+        with ThreadPoolExecutor(cores(), "objects", initializer=_on_one_core) as pool:
+            beside = [pool.submit(make, chunk) for chunk, few in zip(chunks, small, strict=True) if few]
+            waiting = iter(beside)
+            for chunk, few in zip(chunks, small, strict=True):
+                yield next(waiting).result() if few else make(chunk)
+
+
+def _on_one_core() -> None:
+    """PyTorch's products in the calling thread from here on; `torch.set_num_threads` would be for all others to come."""
+    threadpool_limits(1, user_api="openmp")
 
 
 def object_keys(batch: RaggedBatch, reads: Collection[str] = ()) -> list[bytes]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -18,6 +18,7 @@ from rfpp.checkpoint.model_card import model_card
 from rfpp.checkpoint.model_folder import write_folder
 from rfpp.errors import SceneError, UserError
 from rfpp.imaging.radiance import log_decode
+from rfpp.inference.digest import digest_of
 from rfpp.inference.gbuffers import GBufferSource
 from rfpp.inference.memory import require_memory
 from rfpp.inference.object_encoder import ObjectEncoder
@@ -38,8 +39,9 @@ class Renderer:
         renderer = Renderer.load("data/runs/quickstart/latest/checkpoints/best.ckpt")
         images = renderer.render(load_scene("data/scenes/cornell_box.json"))
 
-    It remembers what objects were encoded to and what cameras saw first, so that an edited scene costs what the edit
-    changed; the image is the one that a new renderer would give, on a CPU to the last bit. Threads may share it.
+    It remembers what objects were encoded to, the light of the last scene and what cameras saw first, so that another
+    view costs its own and an edited scene what the edit changed; the image is the one that a new renderer would give, on
+    a CPU to the last bit. Threads may share it.
 
     Args:
         network: RaggedBatch → Rendering. The renderer's from here on: its weights must not change, and most are
@@ -62,6 +64,8 @@ class Renderer:
         #: What encodes object by object; None for a network whose tokens are triangles.
         self.objects = ObjectEncoder(network, self.device) if isinstance(network.tokenizer, ObjectTokens) else None
         self._gbuffers = GBufferSource(network.gbuffer_channels)
+        #: What the last scene was encoded to, and the key of it.
+        self._encoded: tuple[Hashable, EncodedScenes | None] = (None, None)
 
     @classmethod
     def load(
@@ -216,7 +220,7 @@ class Renderer:
         batch = RaggedBatch.pack([views])
         with ThreadPoolExecutor(1, "gbuffer") as beside:
             upcoming = beside.submit(gbuffers, 0)
-            encoded = self._encode(batch, transports)
+            encoded = self._encoded_once(batch, scene, transports, light)
             for view in range(batch.num_views):
                 gbuffer = upcoming.result()
                 if view + 1 < batch.num_views:
@@ -239,6 +243,19 @@ class Renderer:
 
     def _autocast(self) -> torch.autocast:
         return torch.autocast(self.device.type, self.dtype, enabled=self.dtype != torch.float32)
+
+    def _encoded_once(
+        self, batch: RaggedBatch, scene: PackedScene, transports: int | None, light: str | None
+    ) -> EncodedScenes:
+        """As `_encode`; of the scene that came last, what is kept."""
+        triangles = scene.triangles
+        texture = () if scene.texture is None else (scene.texture,)
+        seen = digest_of(triangles.positions, triangles.normals, triangles.material, triangles.object_offsets, *texture)
+        key, (kept, encoded) = (seen, transports, light), self._encoded
+        if encoded is None or kept != key:
+            encoded = self._encode(batch, transports)
+            self._encoded = key, encoded
+        return encoded
 
     @torch.inference_mode()
     def _encode(self, batch: RaggedBatch, transports: int | None) -> EncodedScenes:

@@ -1,6 +1,7 @@
 """Rendering scenes through the public API, with an untrained network."""
 
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from threading import Event
 from types import SimpleNamespace
 
@@ -105,10 +106,17 @@ def test_other_cameras_than_the_scenes_own(renderer, scene):
 
 def test_the_scene_is_encoded_once(renderer, scene, monkeypatch):
     calls = []
-    transported = renderer.network.transported
-    monkeypatch.setattr(renderer.network, "transported", lambda *args: calls.append(1) or transported(*args))
-    renderer.render(scene)
+    ours = Renderer(renderer.network, renderer.info)
+    transported = ours.network.transported
+    monkeypatch.setattr(ours.network, "transported", lambda *args: calls.append(1) or transported(*args))
+    ours.render(scene)
+    ours.render(scene, cameras=scene.cameras[:1])  # another view of it
     assert calls == [1]
+    packed = pack(scene)
+    dimmer = replace(packed, triangles=replace(packed.triangles, material=packed.triangles.material * 0.5))
+    for wanted in (dimmer, dimmer, scene):
+        ours.render(wanted)
+    assert calls == [1, 1, 1]  # what came last is kept, no more
 
 
 def test_the_image_is_the_networks_own(renderer, scene):
