@@ -105,7 +105,7 @@ class ObjectEncoder:
 
 
 def _on_one_core() -> None:
-    """PyTorch's products in the calling thread from here on; `torch.set_num_threads` would be for all others to come."""
+    """PyTorch's products in the calling thread from here on; `torch.set_num_threads` would be for all to come."""
     threadpool_limits(1, user_api="openmp")
 
 

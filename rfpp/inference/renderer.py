@@ -40,7 +40,7 @@ class Renderer:
         images = renderer.render(load_scene("data/scenes/cornell_box.json"))
 
     It remembers what objects were encoded to, the light of the last scene and what cameras saw first, so that another
-    view costs its own and an edited scene what the edit changed; the image is the one that a new renderer would give, on
+    view costs its own and an edited scene what the edit changed. The image is the one a new renderer would give, on
     a CPU to the last bit. Threads may share it.
 
     Args:
