@@ -24,7 +24,7 @@ from rfpp.errors import UserError
 from rfpp.imaging.tone_maps import ToneMap
 from rfpp.inference.animation import Film
 from rfpp.inference.gbuffers import GBufferSource
-from rfpp.inference.layers import exr_layers, light_layers
+from rfpp.inference.layers import bounce_layers, exr_layers, light_layers
 from rfpp.inference.motion.frames import Frames, with_cameras
 from rfpp.inference.overlapped_writing import written_beside
 from rfpp.inference.references import path_traced
@@ -50,8 +50,9 @@ def main(cfg: DictConfig) -> list[Path]:
     motion, cycles = instantiate(cfg.get("motion")), cycles_settings(request, cfg.against)
     if motion and cfg.against:
         raise UserError(f"against={cfg.against}: stands beside stills, not in a film: leave it away")
-    if motion and request.lights == "separate":
-        raise UserError("lights=separate: layers are those of stills, a film has none: leave it away")
+    for parts in ("lights", "bounces"):
+        if motion and getattr(request, parts) == "separate":
+            raise UserError(f"{parts}=separate: layers are those of stills, a film has none: leave it away")
     if motion:
         scenes = [motion.frames_of(path, request.one_camera(), request.load) for path in request.scene]
         files = [request.film(path, motion.name) for path in request.scene]
@@ -96,12 +97,16 @@ class Studio:
 
         def write(image, view: int) -> None:
             apart = light_layers({name: images[view] for name, images in lights.items()})
+            apart |= bounce_layers([images[view] for images in bounces])
             write_still(image, files[view], self.tone_map, exr_layers(gbuffer(view), layers) | apart)
 
-        begin, lights = time.perf_counter(), {}
+        begin, lights, bounces = time.perf_counter(), {}, ()
         if self.request.lights == "separate":
             lights = self.renderer.render_lights(scene, self.size, **sampling)
-        views = sum(lights.values()) if lights else self.renderer.views(scene, self.size, **sampling)
+        if self.request.bounces == "separate":
+            bounces = self.renderer.render_bounces(scene, self.size, **sampling)
+        parts = [*lights.values()] or [*bounces]
+        views = sum(parts) if parts else self.renderer.views(scene, self.size, **sampling)
         images = list(written_beside(views, range(len(files)), write))
         many = f"{len(files)} view{'s' * (len(files) > 1)} of {self.size[1]} x {self.size[0]}"
         self.console.print(f"{scene.name}: {many} in {time.perf_counter() - begin:.2f} s")

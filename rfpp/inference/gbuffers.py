@@ -10,9 +10,11 @@ import numpy as np
 from jaxtyping import Float
 
 from rfpp.gbuffer.cell_finding import find_cells
+from rfpp.gbuffer.cell_loops import NOWHERE
 from rfpp.gbuffer.cells import CellMap, Cells
 from rfpp.gbuffer.first_hit import (
     CELL_CHANNELS,
+    CHANNELS,
     DIRECT_CHANNELS,
     HIGHLIGHTS,
     REFLECTION_CHANNELS,
@@ -150,6 +152,21 @@ class GBufferSource:
     def _shadow_caster(self, triangles: SceneTriangles, geometry: bytes) -> RayCaster:
         size = _BYTES_PER_TRIANGLE * len(triangles)
         return self._kept.recall(("shadows", geometry), size, lambda: RayCaster(triangles.positions))
+
+
+def direct_alone(gbuffer: Float[np.ndarray, "c h w"], names: Sequence[str]) -> Float[np.ndarray, "c h w"]:
+    """Channels without what surfaces send to each other: no reflections, no highlights, and rays that meet no cell.
+
+    Args:
+        names: of the channels, in order.
+    """
+    nothing = dict.fromkeys(CELL_CHANNELS, NOWHERE) | dict.fromkeys((*REFLECTION_CHANNELS, HIGHLIGHTS), 0)
+    alone, row = gbuffer.copy(), 0
+    for name in names:
+        rows = slice(row, row := row + CHANNELS[name])
+        if name in nothing:
+            alone[rows] = nothing[name]
+    return alone
 
 
 def _geometry(triangles: SceneTriangles) -> bytes:

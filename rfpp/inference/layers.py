@@ -33,13 +33,24 @@ def light_layers(images: Mapping[str, Float[np.ndarray, "h w 3"]]) -> dict[str, 
     Args:
         images: by the names of lights, which may hold what layers' names may not.
     """
-    layers: dict[str, np.ndarray] = {}
+    layers: dict[str, Float[np.ndarray, "h w 3"]] = {}
     for number, (name, image) in enumerate(images.items()):
         layer = "light_" + re.sub(r"\W", "_", name)
-        if f"{layer}.R" in layers:
-            layer = f"{layer}_{number}"
-        layers |= {f"{layer}.{channel}": compact(image)[..., place] for place, channel in enumerate("RGB")}
-    return layers
+        layers[f"{layer}_{number}" if layer in layers else layer] = image
+    return _colours(layers)
+
+
+def bounce_layers(images: Sequence[Float[np.ndarray, "h w 3"]]) -> dict[str, np.ndarray]:
+    """What light adds to an image after one reflection, after two, …: bounce_01.R, … (in an order that sorts)."""
+    return _colours({f"bounce_{number:02}": image for number, image in enumerate(images, start=1)})
+
+
+def _colours(images: Mapping[str, Float[np.ndarray, "h w 3"]]) -> dict[str, np.ndarray]:
+    return {
+        f"{name}.{channel}": compact(image)[..., place]
+        for name, image in images.items()
+        for place, channel in enumerate("RGB")
+    }
 
 
 def exr_layers(stacked: Float[np.ndarray, "c h w"], names: Sequence[str]) -> dict[str, np.ndarray]:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any, TypeVar
 
 import numpy as np
 import torch
@@ -19,18 +20,42 @@ from rfpp.checkpoint.model_folder import write_folder
 from rfpp.errors import SceneError, UserError
 from rfpp.imaging.radiance import log_decode
 from rfpp.inference.digest import digest_of
-from rfpp.inference.gbuffers import GBufferSource
+from rfpp.inference.gbuffers import GBufferSource, direct_alone
 from rfpp.inference.memory import require_memory
 from rfpp.inference.object_encoder import ObjectEncoder
 from rfpp.model.matrix_precision import convert_blocks, matrix_dtype
 from rfpp.model.renderformer_pp import EncodedScenes
-from rfpp.model.tokenizer import ObjectTokens
+from rfpp.model.tokenizer import ObjectTokens, SceneTokens
 from rfpp.scene.packed import PackedScene, pack
 from rfpp.scene.spec import Camera, Scene
 
 #: Pixels along the longer side that ray tokens and image head see of finer images. What they say is smooth: at 256² the
 #: error is at most 3% above that of all pixels (data/results/LOG.md).
 TOKEN_RESOLUTION = 128
+#: A camera's c2w and fov, and the channels that it sees.
+View = tuple[Float[Tensor, "1 1 4 4"], Float[Tensor, "1 1"], Float[np.ndarray, "c h w"]]
+Encoded = TypeVar("Encoded")
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What an image takes.
+
+    Attributes:
+        scene: with at least one camera.
+        size: (height, width) in pixels.
+        samples: light samples of each point.
+        points: along each side of a pixel.
+        stride: pixels along each side of what tokens see as one.
+        transports: see `Renderer.render`.
+    """
+
+    scene: PackedScene
+    size: tuple[int, int]
+    samples: int
+    points: int
+    stride: int
+    transports: int | None
 
 
 class Renderer:
@@ -63,9 +88,10 @@ class Renderer:
         convert_blocks(self.network, dtype)
         #: What encodes object by object; None for a network whose tokens are triangles.
         self.objects = ObjectEncoder(network, self.device) if isinstance(network.tokenizer, ObjectTokens) else None
-        self._gbuffers = GBufferSource(network.gbuffer_channels)
+        #: What cameras see, and what is known of scenes.
+        self.gbuffers = GBufferSource(network.gbuffer_channels)
         #: What the last scene was encoded to, and the key of it.
-        self._encoded: tuple[Hashable, EncodedScenes | None] = (None, None)
+        self._encoded: tuple[Hashable, Any] = (None, None)
 
     @classmethod
     def load(
@@ -155,6 +181,24 @@ class Renderer:
             for name in packed.triangles.light_names
         }
 
+    def render_bounces(
+        self, scene: Scene | PackedScene, resolution: int | tuple[int, int] | None = None, **sampling: int | None
+    ) -> Float[np.ndarray, "n v h w 3"]:
+        """The light that arrives after one reflection, after two, …; the sum is the image of `render`, to rounding.
+
+        Not in the paper. The first is direct light; each application of the transport operator (`transports`) adds one
+        after the second.
+
+        Args:
+            resolution, sampling: see `render`.
+
+        Raises:
+            UserError: like `render`, and for a network that is not linear in lights.
+        """
+        plan = self.planned(pack(scene), resolution, **sampling)
+        self._require_linear("bounces")
+        return np.stack(list(self._views(plan, None, self._encode_each, self._decode_each)), axis=1)
+
     def views(
         self,
         scene: Scene | PackedScene,
@@ -171,10 +215,25 @@ class Renderer:
         Args:
             light: only the light of this object; None: all. For a network that is linear in lights.
         """
-        height, width = self.image_size(resolution)
         packed = pack(scene) if cameras is None else pack(scene).seen_by(cameras)
-        if not len(packed.fov):
-            raise SceneError(f"scene '{packed.name}' has no camera: add one to its `cameras`")
+        plan = self.planned(packed, resolution, light_samples, supersampling, token_resolution, transports)
+        if light is not None:
+            self._require_linear("lights")
+        return self._views(plan, light, self._encode, self._decode)
+
+    def planned(
+        self,
+        scene: PackedScene,
+        resolution: int | tuple[int, int] | None = None,
+        light_samples: int = 16,
+        supersampling: int = 2,
+        token_resolution: int | None = None,
+        transports: int | None = None,
+    ) -> Plan:
+        """What an image takes. Arguments and errors: see `render`."""
+        height, width = self.image_size(resolution)
+        if not len(scene.fov):
+            raise SceneError(f"scene '{scene.name}' has no camera: add one to its `cameras`")
         if transports is not None and not self.network.iterations:
             raise UserError(f"transports={transports}: this network has no transport operator: leave it away")
         if token_resolution is None:
@@ -185,11 +244,12 @@ class Renderer:
         points = supersampling if self.network.shades_points else 1
         require_memory(height, width, points)
         samples = max(1, round(light_samples / points**2))
-        if light is not None and not self.network.linear_in_lights:
-            raise UserError("lights apart: this network's image is no sum over lights: use one of linear light")
-        gbuffers = self._gbuffers.of(packed, height, width, samples, points, light)
         stride = self._stride(height, width, token_resolution)
-        return self._views(packed, gbuffers, points, stride, transports, light)
+        return Plan(scene, (height, width), samples, points, stride, transports)
+
+    def _require_linear(self, parts: str) -> None:
+        if not self.network.linear_in_lights:
+            raise UserError(f"{parts} apart: this network's image is no sum over {parts}: use one of linear light")
 
     def _stride(self, height: int, width: int, token_resolution: int) -> int:
         """Pixels along each side of what tokens see as one."""
@@ -204,33 +264,40 @@ class Renderer:
 
     def _views(
         self,
-        scene: PackedScene,
-        gbuffers: Callable[[int], Float[np.ndarray, "c h w"]],
-        points: int,
-        stride: int,
-        transports: int | None,
+        plan: Plan,
         light: str | None,
-    ) -> Iterator[Float[np.ndarray, "h w 3"]]:
+        encode: Callable[[RaggedBatch, Plan], Encoded],
+        decode: Callable[[Encoded, View, Plan], Float[np.ndarray, "*n height width 3"]],
+    ) -> Iterator[Float[np.ndarray, "*n height width 3"]]:
         """One view at a time, which bounds the memory; a thread casts the next one's rays meanwhile."""
-        no_gbuffer = np.zeros((len(scene.fov), 0, 0, 0), np.float32)
-        known = self._gbuffers.known_of_scene(scene.triangles, self.network.reads, light)
-        views = SceneViews(
-            scene.name, scene.triangles, scene.c2w, scene.fov, no_gbuffer, texture=scene.texture, **known
-        )
-        batch = RaggedBatch.pack([views])
+        batch = self.batch(plan.scene, light)
+        cast = self.gbuffers.of(plan.scene, *plan.size, plan.samples, plan.points, light)
         with ThreadPoolExecutor(1, "gbuffer") as beside:
-            upcoming = beside.submit(gbuffers, 0)
-            encoded = self._encoded_once(batch, scene, transports, light)
+            upcoming = beside.submit(cast, 0)
+            encoded = self._encoded_once(encode, batch, plan, light)
             for view in range(batch.num_views):
                 gbuffer = upcoming.result()
                 if view + 1 < batch.num_views:
-                    upcoming = beside.submit(gbuffers, view + 1)
+                    upcoming = beside.submit(cast, view + 1)
                 one = slice(view, view + 1)
-                image = self._decode(encoded, batch.c2w[:, one], batch.fov[:, one], gbuffer, points, stride)
-                self._require_finite(image, f"scene '{scene.name}', view {view}")
+                image = decode(encoded, (batch.c2w[:, one], batch.fov[:, one], gbuffer), plan)
+                self._require_finite(image, f"scene '{plan.scene.name}', view {view}")
                 yield image
 
-    def _require_finite(self, image: Float[np.ndarray, "height width 3"], what: str) -> None:
+    def batch(self, scene: PackedScene, light: str | None = None) -> RaggedBatch:
+        """A scene as the network reads it, without G-buffers.
+
+        Args:
+            light: see `views`.
+        """
+        no_gbuffer = np.zeros((len(scene.fov), 0, 0, 0), np.float32)
+        known = self.gbuffers.known_of_scene(scene.triangles, self.network.reads, light)
+        views = SceneViews(
+            scene.name, scene.triangles, scene.c2w, scene.fov, no_gbuffer, texture=scene.texture, **known
+        )
+        return RaggedBatch.pack([views])
+
+    def _require_finite(self, image: Float[np.ndarray, "*n height width 3"], what: str) -> None:
         """Raises UserError naming the cause, as far as it is known."""
         wrong = np.count_nonzero(~np.isfinite(image).all(axis=-1))
         if not wrong:
@@ -239,49 +306,61 @@ class Renderer:
             why = "its lights, its sizes or its camera's distance are beyond what can be computed: check the scene"
         else:
             why = "the network's weights are not finite, its training diverged: take an earlier checkpoint"
-        raise UserError(f"{what}: {wrong} of {image.shape[0] * image.shape[1]} pixels are not finite: {why}")
+        raise UserError(f"{what}: {wrong} of {image.size // 3} pixels are not finite: {why}")
 
     def _autocast(self) -> torch.autocast:
         return torch.autocast(self.device.type, self.dtype, enabled=self.dtype != torch.float32)
 
     def _encoded_once(
-        self, batch: RaggedBatch, scene: PackedScene, transports: int | None, light: str | None
-    ) -> EncodedScenes:
-        """As `_encode`; of the scene that came last, what is kept."""
-        triangles = scene.triangles
-        texture = () if scene.texture is None else (scene.texture,)
-        seen = digest_of(triangles.positions, triangles.normals, triangles.material, triangles.object_offsets, *texture)
-        key, (kept, encoded) = (seen, transports, light), self._encoded
-        if encoded is None or kept != key:
-            encoded = self._encode(batch, transports)
+        self, encode: Callable[[RaggedBatch, Plan], Encoded], batch: RaggedBatch, plan: Plan, light: str | None
+    ) -> Encoded:
+        """What `encode` makes of a scene; of the one that came last, what is kept."""
+        triangles, texture = plan.scene.triangles, plan.scene.texture
+        seen = digest_of(
+            triangles.positions, triangles.normals, triangles.material, triangles.object_offsets,
+            *(() if texture is None else (texture,)),
+        )  # fmt: skip
+        key, (kept, encoded) = (encode, seen, plan.transports, light), self._encoded
+        if kept != key:
+            encoded = encode(batch, plan)
             self._encoded = key, encoded
         return encoded
 
     @torch.inference_mode()
-    def _encode(self, batch: RaggedBatch, transports: int | None) -> EncodedScenes:
+    def _encode(self, batch: RaggedBatch, plan: Plan) -> EncodedScenes:
+        if plan.transports is not None:
+            return self._encode_each(batch, plan)[-1]
         with self._autocast():
-            if self.objects is None:
-                exposure, tokens = self.network.tokenize(batch.to(self.device))
-            else:
-                exposure, tokens = self.objects.tokenize(batch)
-            if transports is None:
-                return self.network.transported(exposure, tokens)
-            return self.network.transported_each(exposure, tokens, transports)[0][-1]
+            return self.network.transported(*self._tokenize(batch))
 
     @torch.inference_mode()
-    def _decode(
-        self,
-        encoded: EncodedScenes,
-        c2w: Float[Tensor, "1 1 4 4"],
-        fov: Float[Tensor, "1 1"],
-        gbuffer: Float[np.ndarray, "c h w"],
-        points: int,
-        stride: int,
-    ) -> Float[np.ndarray, "height width 3"]:
+    def _encode_each(self, batch: RaggedBatch, plan: Plan) -> list[EncodedScenes]:
+        """After k = 0 … applications of the operator."""
+        count = self.network.iterations if plan.transports is None else plan.transports
+        with self._autocast():
+            return self.network.transported_each(*self._tokenize(batch), count)[0]
+
+    def _tokenize(self, batch: RaggedBatch) -> tuple[Float[Tensor, " b"], SceneTokens]:
+        if self.objects is None:
+            return self.network.tokenize(batch.to(self.device))
+        return self.objects.tokenize(batch)
+
+    @torch.inference_mode()
+    def _decode(self, encoded: EncodedScenes, view: View, plan: Plan) -> Float[np.ndarray, "height width 3"]:
+        c2w, fov, gbuffer = view
         camera, seen = (c2w.to(self.device), fov.to(self.device)), torch.from_numpy(gbuffer[None, None])
         with self._autocast():
-            log_radiance = self.network.view(encoded, *camera, seen.to(self.device), points, stride)
+            log_radiance = self.network.view(encoded, *camera, seen.to(self.device), plan.points, plan.stride)
         return log_decode(log_radiance)[0, 0].permute(1, 2, 0).clamp_min(0).cpu().numpy()
+
+    def _decode_each(
+        self, encoded: list[EncodedScenes], view: View, plan: Plan
+    ) -> Float[np.ndarray, "n height width 3"]:
+        """Direct light, and what each of the states adds to those before it."""
+        c2w, fov, gbuffer = view
+        direct = (c2w, fov, direct_alone(gbuffer, self.network.gbuffer_channels))
+        after = [self._decode(encoded[0], direct, plan), *(self._decode(state, view, plan) for state in encoded)]
+        return np.diff(np.stack(after), axis=0, prepend=np.float32(0)).clip(0)
 
     def image_size(self, resolution: int | tuple[int, int] | None) -> tuple[int, int]:
         """(height, width) of a requested resolution. Raises UserError when it does not divide into patches."""

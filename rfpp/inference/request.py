@@ -48,7 +48,7 @@ class Request(Strict):
         light_samples: shadow rays per light and pixel, and rays into reflections.
         supersampling: points along each side of a pixel.
         token_resolution: of the image as ray tokens see it, or None for what is usual.
-        lights: whether those of a scene stand in layers of their own, too.
+        lights, bounces: whether those of a scene, or of its light, stand in layers of their own, too.
         transports: how often light is passed on in the scene, or None as in training.
         fps: of films.
         reference, reference_settings: whether Cycles renders too, and by which file of conf/reference.
@@ -68,6 +68,7 @@ class Request(Strict):
     light_samples: Positive
     supersampling: Positive
     lights: Literal["together", "separate"]
+    bounces: Literal["together", "separate"]
     transports: Annotated[int, Field(ge=0, le=1024)] | None
     token_resolution: Positive | None
     fps: Annotated[float, Field(gt=0, le=1000)]

@@ -4,7 +4,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from edited_scenes import changed, dimmed, lamp, moved, reordered, scene
+from edited_scenes import changed, dimmed, lamp, moved, reordered, scene, with_objects
 from networks import checkpoint_info, network
 
 from rfpp import Renderer, Scene
@@ -69,3 +69,33 @@ class TestLightsApart:
             other.render_lights(scene())
         with pytest.raises(UserError, match="light 'moon' does not exist: choose from lamp, spot"):
             list(renderer().views(scene(), light="moon"))
+
+
+class TestBouncesApart:
+    @pytest.fixture(scope="class")
+    def apart(self):
+        return renderer().render_bounces(scene(), light_samples=4)
+
+    def test_their_sum_is_the_image(self, apart):
+        assert len(apart) == 2 + renderer().network.iterations
+        assert (apart >= 0).all()
+        np.testing.assert_allclose(apart.sum(0), renderer().render(scene(), light_samples=4), rtol=1e-4, atol=1e-6)
+
+    @pytest.mark.parametrize("transports", [0, 3])
+    def test_the_first_are_the_image_of_fewer_transports(self, apart, transports):
+        fewer = renderer().render_bounces(scene(), light_samples=4, transports=transports)
+        np.testing.assert_allclose(fewer, apart[: 2 + transports], rtol=1e-4, atol=1e-6)
+        image = renderer().render(scene(), light_samples=4, transports=transports)
+        np.testing.assert_allclose(fewer.sum(0), image, rtol=1e-4, atol=1e-6)
+
+    def test_on_a_lone_floor_there_is_only_direct_light(self, apart):
+        alone = with_objects(scene(), [o for o in scene().objects if not o.name.startswith("peak")])
+        first, *others = renderer().render_bounces(alone, light_samples=4)
+        np.testing.assert_allclose(first, renderer().render(alone, light_samples=4), rtol=1e-4, atol=1e-6)
+        assert first.max() > 0
+        assert np.max(others) < 1e-5 < apart[1].max()
+
+    def test_networks_that_are_not_linear_are_refused(self):
+        other = Renderer(network("experiment=quickstart", "model=known_light"), checkpoint_info(resolution=(16, 16)))
+        with pytest.raises(UserError, match="no sum over bounces"):
+            other.render_bounces(scene())

@@ -1,6 +1,7 @@
 """`launch/render.py` as it is called, with an untrained network: what it writes, says and refuses."""
 
 import json
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -88,6 +89,19 @@ def test_lights_apart_are_layers_that_add_up(render, tmp_path):
     assert layers.keys() == {"RGB", "light_lamp", "light_spot"}
     np.testing.assert_allclose(layers["light_lamp"] + layers["light_spot"], layers["RGB"], rtol=1e-2, atol=1e-3)
     assert min(layer.max() for layer in layers.values()) > 0
+
+
+def test_bounces_apart_are_layers_that_add_up_beside_those_of_lights(render, tmp_path):
+    [file], _ = render(
+        f"scene={save_scene(scene(), tmp_path / 'six.json')}", "checkpoint=rfpp-tiny", "lights=separate",
+        "bounces=separate", "transports=2", "cameras=[0]",
+    )  # fmt: skip
+    layers = read_exr(file)
+    bounces = [f"bounce_0{number}" for number in (1, 2, 3, 4)]
+    assert layers.keys() == {"RGB", "light_lamp", "light_spot", *bounces}
+    np.testing.assert_allclose(sum(layers[name] for name in bounces), layers["RGB"], rtol=1e-2, atol=1e-3)
+    means = [layers[name].mean(dtype=np.float64) for name in bounces]
+    assert all(more > less > 0 for more, less in pairwise(means))
 
 
 def test_light_may_be_passed_on_less_often(render):
@@ -182,6 +196,8 @@ WRONG = {
     "another network in a film": ([ONE, "motion=turntable", "reference=true", "against=other.ckpt"], "not in a film"),
     "lights apart in a film": ([ONE, "motion=turntable", "lights=separate"], "a film has none"),
     "lights apart by a network that is not linear": ([ONE, "lights=separate"], "no sum over lights"),
+    "bounces apart in a film": ([ONE, "motion=turntable", "bounces=separate"], "a film has none"),
+    "bounces apart by a network that is not linear": ([ONE, "bounces=separate"], "no sum over bounces"),
     "light passed on for ever": ([ONE, "transports=1000000"], "transports"),
     "tokens of nothing": ([ONE, "token_resolution=0"], "token_resolution"),
     "no scene": (["scene=[]"], "scene"),
