@@ -38,10 +38,10 @@ def find_cells(sampler: LightSampler) -> tuple[Cells, CellMap]:
     everywhere = CellMap(grid, keys, np.arange(len(keys)))
     order = np.argsort(cell, kind="stable")
     even, weight, cell = even.part(order), weight[order], cell[order]
-    hits, ends = _where_light_goes(sampler, everywhere, even, cell, rng)
+    hits, met = _where_light_goes(sampler, everywhere, even, cell, rng)
     kept = _reached(hits, keys, grid)
     renumbered = np.append(np.where(kept, np.cumsum(kept) - 1, NOWHERE), NOWHERE)
-    seen, of_cell = _seen_points(even, cell, ends, hits[hits != NOWHERE], renumbered, rng)
+    seen, of_cell = _seen_points(even, cell, met, hits[hits != NOWHERE], renumbered, rng)
     everywhere = CellMap(grid, keys, renumbered[:-1])
 
     surface = seen.surface(triangles)
@@ -91,7 +91,9 @@ class _Points:
         """Of their side of the triangle."""
         a, b, c = np.moveaxis(triangles.positions[self.triangle].astype(np.float64), 1, 0)
         cross = np.cross(b - a, c - a)
-        return cross / np.linalg.norm(cross, axis=-1, keepdims=True) * np.where(self.back, -1.0, 1.0)[:, None]
+        side = np.where(self.back, -1.0, 1.0)[:, None]
+        unit: np.ndarray = cross / np.linalg.norm(cross, axis=-1, keepdims=True) * side
+        return unit
 
     def surface(self, triangles: SceneTriangles) -> Surface:
         """Seen from straight above."""
@@ -177,7 +179,7 @@ def _seen_points(
 def _reached(hits: Int[np.ndarray, "c rays"], keys: Int[np.ndarray, " c"], grid: CellGrid) -> np.ndarray:
     """[C] bool: the cells from which more can be seen, in any number of steps, than the inside of one object."""
     owner = grid.octants(keys) // 8
-    reached = ((hits == NOWHERE) | (owner[hits] != owner[:, None])).any(-1)
+    reached: np.ndarray = ((hits == NOWHERE) | (owner[hits] != owner[:, None])).any(-1)
     while (more := reached | (reached[hits] & (hits != NOWHERE)).any(-1)).sum() > reached.sum():
         reached = more
     return reached

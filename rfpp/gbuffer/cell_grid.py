@@ -59,7 +59,8 @@ class CellGrid:
         normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         local = np.einsum("mij,mj->mi", self.axes[self.triangles.object_index], normal)
         axis = np.abs(local).argmax(-1)
-        return 2 * axis + (np.take_along_axis(local, axis[:, None], 1)[:, 0] < 0)
+        direction: np.ndarray = 2 * axis + (np.take_along_axis(local, axis[:, None], 1)[:, 0] < 0)
+        return direction
 
     def keys(
         self, triangle: Int[np.ndarray, " r"], point: Float[np.ndarray, "r 3"], back: np.ndarray

@@ -5,14 +5,15 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
-from rfpp.gbuffer.compiled import compiled
-from rfpp.gbuffer.counted_random import key_of, uniform
-from rfpp.gbuffer.embree import new_ray
+from rfpp.gbuffer.compiled import compiled, int64
+from rfpp.gbuffer.counted_random import Key, key_of, uniform
+from rfpp.gbuffer.embree import Ray, new_ray
 from rfpp.gbuffer.ggx import lobe_and_pdf
 from rfpp.gbuffer.light_loops import along_lobe, direct_at
 from rfpp.gbuffer.lit_scene import (
+    LitScene,
     alpha_of,
     blurred,
     density_of_lobes,
@@ -20,7 +21,8 @@ from rfpp.gbuffer.lit_scene import (
     scattering,
     surface_there,
 )
-from rfpp.gbuffer.vectors import GOLDEN, dot, in_frame, in_world, normal_of, tangents, triple
+from rfpp.gbuffer.surface import Points
+from rfpp.gbuffer.vectors import GOLDEN, Triple, Vector, dot, in_frame, in_world, normal_of, tangents, triple
 
 #: What a ray's end is called that meets no cell.
 NOWHERE = -1
@@ -61,7 +63,7 @@ class CellTable(NamedTuple):
 
 
 @compiled
-def key_at(table, triangle, point, back):
+def key_at(table: CellTable, triangle: int, point: Vector, back: bool) -> int:
     """A number for the cell of a point on the front or the back of a triangle; the same for the same cell."""
     owner = table.owner[triangle]
     half, pieces, centre = table.half[owner], table.pieces[owner], table.centroid[owner]
@@ -71,46 +73,68 @@ def key_at(table, triangle, point, back):
     for k in range(3):
         place = pieces[k]
         if half[k] >= flat:  # else rounding alone would say on which side a point lies
-            place += np.int64(np.floor(dot(table.axes[owner, k], away) / max(half[k], 1e-9) * pieces[k]))
+            place += int64(np.floor(dot(table.axes[owner, k], away) / max(half[k], 1e-9) * pieces[k]))
         place = min(max(place, 0), 2 * pieces[k] - 1)
         octant |= (place >= pieces[k]) << k  # octant first: it is what a token of HOCT stands for
         box = box * 2 * MOST_PIECES + place
-    key = (owner * 8 + octant) * (2 * MOST_PIECES) ** 3 + box
-    return (key * DIRECTIONS + table.direction[triangle]) * SIDES + back
+    of_box = (owner * 8 + octant) * (2 * MOST_PIECES) ** 3 + box
+    key: int = (of_box * DIRECTIONS + table.direction[triangle]) * SIDES + back
+    return key
 
 
 @compiled
-def coarse_key(key):
+def coarse_key(key: int) -> int:
     """A number for octant and side alone."""
     return key // KEYS_OF_OCTANT * SIDES + key % SIDES
 
 
 @compiled
-def cell_of(table, key):
+def cell_of(table: CellTable, key: int) -> int:
     """The cell of a key. Cells so small that none of our points lay there: any of their octant and side."""
     row = _found(table.keys, key)
+    cell: int = NOWHERE
     if row >= 0:
-        return table.cell[row]
-    row = _found(table.coarse_keys, coarse_key(key))
-    return table.coarse_cell[row] if row >= 0 else NOWHERE
+        cell = table.cell[row]
+    elif (row := _found(table.coarse_keys, coarse_key(key))) >= 0:
+        cell = table.coarse_cell[row]
+    return cell
 
 
 @compiled
-def keys_each(start, stop, table, triangle, points, back, keys):
+def keys_each(
+    start: int,
+    stop: int,
+    table: CellTable,
+    triangle: Int[np.ndarray, " r"],
+    points: Float[np.ndarray, "r 3"],
+    back: Bool[np.ndarray, " r"],
+    keys: Int[np.ndarray, " r"],
+) -> None:
     """Keys of points."""
     for row in range(start, stop):
         keys[row] = key_at(table, triangle[row], triple(points[row]), back[row])
 
 
 @compiled
-def cells_each(start, stop, table, keys, cell):
+def cells_each(
+    start: int, stop: int, table: CellTable, keys: Int[np.ndarray, " r"], cell: Int[np.ndarray, " r"]
+) -> None:
     """Cells of keys."""
     for row in range(start, stop):
         cell[row] = cell_of(table, keys[row])
 
 
 @compiled
-def followed(scene, table, ray, origin, way, density, key, light):
+def followed(
+    scene: LitScene,
+    table: CellTable,
+    ray: Ray,
+    origin: Vector,
+    way: Vector,
+    density: float,
+    key: Key,
+    light: Float[np.ndarray, " 6"],
+) -> tuple[int, int]:
     """What a ray meets: its cell, the cell in which the ray ends that the glossy lobe there throws on, and, in the
     first three numbers of `light` [6], the radiance of the emitters that comes back by way of that lobe.
 
@@ -149,7 +173,18 @@ def followed(scene, table, ray, origin, way, density, key, light):
 
 
 @compiled
-def thrown(scene, view, alpha, specular, u, v, threshold, first, second, normal):
+def thrown(
+    scene: LitScene,
+    view: Vector,
+    alpha: float,
+    specular: Vector,
+    u: float,
+    v: float,
+    threshold: float,
+    first: Vector,
+    second: Vector,
+    normal: Vector,
+) -> tuple[bool, Triple]:
     """Whether the glossy lobe throws a ray, and its direction.
 
     The lobe absorbs a ray in the share in which it does not send its light on, beside what its albedo says.
@@ -166,7 +201,19 @@ def thrown(scene, view, alpha, specular, u, v, threshold, first, second, normal)
 
 
 @compiled
-def follow_each(start, stop, scene, table, origins, ways, density, key, cell, onward, light):
+def follow_each(
+    start: int,
+    stop: int,
+    scene: LitScene,
+    table: CellTable,
+    origins: Float[np.ndarray, "r 3"],
+    ways: Float[np.ndarray, "r 3"],
+    density: Float[np.ndarray, " r"],
+    key: Key,
+    cell: Int[np.ndarray, " r"],
+    onward: Int[np.ndarray, " r"],
+    light: Float[np.ndarray, "r 3"],
+) -> None:
     """Rays one by one; see `followed`."""
     ray, found = new_ray(), np.zeros(6)
     for row in range(start, stop):
@@ -178,7 +225,21 @@ def follow_each(start, stop, scene, table, origins, ways, density, key, cell, on
 
 
 @compiled
-def cells_seen(start, stop, scene, table, points, point_of, width, key, diffuse, glossy, diffuse_on, glossy_on, light):
+def cells_seen(
+    start: int,
+    stop: int,
+    scene: LitScene,
+    table: CellTable,
+    points: Points,
+    point_of: Int[np.ndarray, "pixels of_pixel"],
+    width: int,
+    key: Key,
+    diffuse: Int[np.ndarray, "pixels rays"],
+    glossy: Int[np.ndarray, "pixels rays"],
+    diffuse_on: Int[np.ndarray, "pixels rays"],
+    glossy_on: Int[np.ndarray, "pixels rays"],
+    light: Float[np.ndarray, "pixels 3"],
+) -> None:
     """The cells that pixels see; see `SeenCells`, whose arrays these fill in.
 
     Args:
@@ -232,21 +293,21 @@ def cells_seen(start, stop, scene, table, points, point_of, width, key, diffuse,
 
 
 @compiled
-def _of_lattice(number, count, key):
+def _of_lattice(number: int, count: int, key: Key) -> tuple[float, float]:
     """A point of the unit square: one of so many that are spread evenly, displaced."""
     u, v = (number + 0.5) / count + uniform(key, 0), number * GOLDEN + uniform(key, 1)
     return u % 1, v % 1
 
 
 @compiled
-def _cell_met(scene, table, triangle, way, point):
+def _cell_met(scene: LitScene, table: CellTable, triangle: int, way: Vector, point: Vector) -> int:
     a, b, c = scene.positions[triangle]
     back = dot(normal_of(triple(a), triple(b), triple(c)), way) > 0
     return cell_of(table, key_at(table, triangle, point, back))
 
 
 @compiled
-def _found(keys, key):
+def _found(keys: Int[np.ndarray, " k"], key: int) -> int:
     """Where a key stands among ascending ones; -1 for nowhere."""
     low, high = 0, len(keys)
     while low < high:

@@ -4,14 +4,24 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable
+from typing import Any, ParamSpec, TypeVar, cast
 
 import numba
+import numpy as np
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+#: To 64 bits: float() and int() of a compiled loop leave numbers as they are. NumPy 1 types neither as float or int.
+float64 = cast(Callable[[Any], float], np.float64)
+int64 = cast(Callable[[Any], int], np.int64)
 
 
-def compiled(function: Callable) -> Callable:
+def compiled(function: Callable[P, R]) -> Callable[P, R]:
     """The function as machine code, by Numba: on the first call, then kept on disk.
 
     It holds no lock while it runs, so that the network can compute beside it. Divisions by zero are infinite, as in
     NumPy.
     """
-    return numba.njit(cache=True, nogil=True, error_model="numpy")(inspect.unwrap(function))
+    faster = numba.njit(cache=True, nogil=True, error_model="numpy")(inspect.unwrap(function))
+    return cast(Callable[P, R], faster)  # Numba's decorator has no types

@@ -18,9 +18,14 @@ def direct_radiance(gbuffer: GBuffer, material: Float[np.ndarray, "m 10"]) -> Fl
 
     Args:
         material: [M, 10] of the same triangles (`SceneTriangles.material`).
+
+    Raises ValueError if the G-buffer holds no direct light.
     """
-    seen = material[gbuffer.triangle] * gbuffer.hit[..., None]
-    return gbuffer.light.diffuse * seen[..., DIFFUSE] + gbuffer.light.glossy * seen[..., SPECULAR]
+    if gbuffer.light is None:
+        raise ValueError("a G-buffer without direct light has none to send on: see with_known_light")
+    seen: np.ndarray = material[gbuffer.triangle] * gbuffer.hit[..., None]
+    radiance: np.ndarray = gbuffer.light.diffuse * seen[..., DIFFUSE] + gbuffer.light.glossy * seen[..., SPECULAR]
+    return radiance
 
 
 def gathered(

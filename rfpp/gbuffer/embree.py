@@ -7,15 +7,19 @@ shaded in one loop never pass through memory, which takes half as long.
 from __future__ import annotations
 
 import ctypes
+from collections.abc import Callable
 from functools import cache
 from importlib import metadata
+from typing import cast
 
 import llvmlite.binding
 import numpy as np
+from jaxtyping import Float32
 from numba import types
 
 from rfpp.errors import MissingDependencyError
-from rfpp.gbuffer.compiled import compiled
+from rfpp.gbuffer.compiled import compiled, float64, int64
+from rfpp.gbuffer.vectors import Vector
 
 #: Of `RTCGeometryType`, `RTCBufferType`, `RTCFormat` and `RTCSceneFlags` (embree4/rtcore_*.h).
 _TRIANGLES, _INDEX, _VERTEX, _UINT3, _FLOAT3, _ROBUST = 0, 0, 1, 0x5003, 0x9003, 1 << 2
@@ -58,8 +62,10 @@ def embree() -> ctypes.CDLL:
     return library
 
 
-_intersect = types.ExternalFunction("rtcIntersect1", types.void(types.uintp, types.uintp, types.uintp))
-_occluded = types.ExternalFunction("rtcOccluded1", types.void(types.uintp, types.uintp, types.uintp))
+# Numba's stubs know what declares a function, not that compiled code calls it.
+_Query = Callable[[int, int, int], None]
+_intersect = cast(_Query, types.ExternalFunction("rtcIntersect1", types.void(types.uintp, types.uintp, types.uintp)))
+_occluded = cast(_Query, types.ExternalFunction("rtcOccluded1", types.void(types.uintp, types.uintp, types.uintp)))
 
 
 class Structure:
@@ -99,16 +105,18 @@ class Structure:
 
 #: Numbers of a ray and its hit (`RTCRayHit`), padded.
 RAY_NUMBERS = 32
+#: Memory for one ray at a time.
+Ray = Float32[np.ndarray, " 32"]
 
 
 @compiled
-def new_ray():
-    """Memory for one ray at a time, of `closest` and `blocked`."""
+def new_ray() -> Ray:
+    """Memory of `closest` and `blocked`."""
     return np.zeros(RAY_NUMBERS, np.float32)
 
 
 @compiled
-def closest(address, ray, origin, way):
+def closest(address: int, ray: Ray, origin: Vector, way: Vector) -> tuple[int, float, float, float]:
     """The nearest triangle in front of a ray, -1 for none; its corners' weights 1 and 2; the distance.
 
     Args:
@@ -123,21 +131,22 @@ def closest(address, ray, origin, way):
     _intersect(address, ray.ctypes.data, 0)
     if numbers[18] == -1:
         return -1, 0.0, 0.0, np.inf
-    return np.int64(numbers[17]), np.float64(ray[15]), np.float64(ray[16]), np.float64(ray[8])
+    return int64(numbers[17]), float64(ray[15]), float64(ray[16]), float64(ray[8])
 
 
 @compiled
-def blocked(address, ray, origin, way, reach):
+def blocked(address: int, ray: Ray, origin: Vector, way: Vector, reach: float) -> bool:
     """Whether anything lies on a ray nearer than `reach`."""
     if address == 0:
         return False
     _set(ray, origin, way, reach)
     _occluded(address, ray.ctypes.data, 0)
-    return ray[8] < 0
+    found: bool = ray[8] < 0
+    return found
 
 
 @compiled
-def _set(ray, origin, way, reach):
+def _set(ray: Ray, origin: Vector, way: Vector, reach: float) -> None:
     numbers = ray.view(np.int32)
     ray[0], ray[1], ray[2], ray[3] = origin[0], origin[1], origin[2], 0.0
     ray[4], ray[5], ray[6], ray[7] = way[0], way[1], way[2], 0.0

@@ -194,7 +194,8 @@ def channel(
 ) -> Float[np.ndarray, "h w c"]:
     """One channel of `stack_channels`, channels last."""
     if name in _MATERIAL_COLUMNS:
-        return material[:, _MATERIAL_COLUMNS[name]][gbuffer.triangle] * gbuffer.hit[..., None]
+        seen: np.ndarray = material[:, _MATERIAL_COLUMNS[name]][gbuffer.triangle] * gbuffer.hit[..., None]
+        return seen
     if name == "normal":
         return gbuffer.normal
     if name == "depth":
@@ -219,7 +220,8 @@ def channel(
 def camera_positions(depth: Float[np.ndarray, "h w"], fov: SupportsFloat) -> Float[np.ndarray, "h w 3"]:
     """Camera-space points from planar depth; the origin where depth is 0."""
     slope = pixel_plane(*depth.shape) * np.tan(np.radians(float(fov)) / 2)
-    return (np.concatenate([slope, np.full((*depth.shape, 1), -1.0)], axis=-1) * depth[..., None]).astype(np.float32)
+    position: np.ndarray = np.concatenate([slope, np.full((*depth.shape, 1), -1.0)], axis=-1) * depth[..., None]
+    return position.astype(np.float32)
 
 
 def object_ids(gbuffer: GBuffer, triangles: SceneTriangles) -> Int[np.ndarray, "h w"]:
@@ -242,7 +244,14 @@ def facing_normals(
 
 
 @compiled
-def _facing_normals(positions, corner_normals, hit, barycentric, directions, normals):
+def _facing_normals(
+    positions: Float[np.ndarray, "m 3 3"],
+    corner_normals: Float[np.ndarray, "m 3 3"],
+    hit: Int[np.ndarray, " r"],
+    barycentric: Float[np.ndarray, "r 3"],
+    directions: Float[np.ndarray, "r 3"],
+    normals: Float[np.ndarray, "r 3"],
+) -> None:
     for row in range(len(hit)):
         (a, b, c), way = positions[hit[row]], directions[row]
         x, y, z = normal_of(a, b, c)

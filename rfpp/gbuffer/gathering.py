@@ -49,4 +49,4 @@ def with_cells(
     def at_points(of_pixels: np.ndarray) -> np.ndarray:
         return of_pixels.reshape(height, width, -1).repeat(points, axis=0).repeat(points, axis=1)
 
-    return replace(gbuffer, cells=SeenCells(*map(at_points, seen), highlights=at_points(highlights)))
+    return replace(gbuffer, cells=SeenCells(*map(at_points, (*seen, highlights))))

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from rfpp.gbuffer.compiled import compiled
-from rfpp.gbuffer.vectors import GOLDEN, unit
+from rfpp.gbuffer.vectors import GOLDEN, Triple, Vector, unit
 
 #: Below this α the lobe is narrower than any pixel, and float32 no longer resolves it.
 MIN_ALPHA = 1e-3
@@ -59,7 +59,7 @@ def multiple_scattering(
 
 
 @compiled
-def lobe_and_pdf(view, light, alpha):
+def lobe_and_pdf(view: Vector, light: Vector, alpha: float) -> tuple[float, float]:
     """See `lobe` and `pdf`: of two vectors (three numbers each)."""
     if view[2] <= 0 or light[2] <= 0:
         return 0.0, 0.0
@@ -73,7 +73,7 @@ def lobe_and_pdf(view, light, alpha):
 
 
 @compiled
-def sampled(view, alpha, u, v):
+def sampled(view: Vector, alpha: float, u: float, v: float) -> Triple:
     """See `sample`: of one vector."""
     sx, sy, sz = unit(view[0] * alpha, view[1] * alpha, view[2])
     angle = 2 * np.pi * u
@@ -85,27 +85,44 @@ def sampled(view, alpha, u, v):
 
 
 @compiled
-def _smith_lambda(direction, alpha):
+def _smith_lambda(direction: Vector, alpha: float) -> float:
     """Smith's Λ: masked microsurface per visible microsurface (Walter et al. 2007)."""
     level2 = direction[0] * direction[0] + direction[1] * direction[1]
     z2 = max(direction[2] * direction[2], 1e-12)
-    return 0.5 * (np.sqrt(1 + alpha * alpha * level2 / z2) - 1)
+    slope: float = np.sqrt(1 + alpha * alpha * level2 / z2)
+    return 0.5 * (slope - 1)
 
 
 @compiled
-def _lobe_and_pdf_each(view, light, alpha, found):
+def _lobe_and_pdf_each(
+    view: Float[np.ndarray, "r 3"],
+    light: Float[np.ndarray, "r 3"],
+    alpha: Float[np.ndarray, " r"],
+    found: Float[np.ndarray, "2 r"],
+) -> None:
     for row in range(len(alpha)):
         found[0, row], found[1, row] = lobe_and_pdf(view[row], light[row], alpha[row])
 
 
 @compiled
-def _sample_each(view, alpha, random, way):
+def _sample_each(
+    view: Float[np.ndarray, "r 3"],
+    alpha: Float[np.ndarray, " r"],
+    random: Float[np.ndarray, "r 2"],
+    way: Float[np.ndarray, "r 3"],
+) -> None:
     for row in range(len(alpha)):
         way[row, 0], way[row, 1], way[row, 2] = sampled(view[row], alpha[row], random[row, 0], random[row, 1])
 
 
 @compiled
-def scattered(albedo, mean, cosine, alpha, specular):
+def scattered(
+    albedo: Float[np.ndarray, "table table"],
+    mean: Float[np.ndarray, " table"],
+    cosine: float,
+    alpha: float,
+    specular: float,
+) -> float:
     """See `multiple_scattering`: of one surface and colour, by the tables of `lobe_albedo`."""
     last = len(mean) - 1
     u, v = np.sqrt(alpha) * last, min(max(cosine, 0.0), 1.0) * last
@@ -113,22 +130,30 @@ def scattered(albedo, mean, cosine, alpha, specular):
     u, v = u - i, v - j
     near = albedo[i, j] * (1 - v) + albedo[i, j + 1] * v
     far = albedo[i + 1, j] * (1 - v) + albedo[i + 1, j + 1] * v
-    e, e_avg = near * (1 - u) + far * u, mean[i] * (1 - u) + mean[i + 1] * u
+    e: float = near * (1 - u) + far * u
+    e_avg: float = mean[i] * (1 - u) + mean[i + 1] * u
     bounced = specular * e_avg / (1 - specular * (1 - e_avg))
     return 1 + bounced * (1 - e) / e
 
 
 @compiled
-def _scattering_each(cosine, alpha, specular, albedo, mean, factor):
+def _scattering_each(
+    cosine: Float[np.ndarray, " r"],
+    alpha: Float[np.ndarray, " r"],
+    specular: Float[np.ndarray, "r 3"],
+    albedo: Float[np.ndarray, "table table"],
+    mean: Float[np.ndarray, " table"],
+    factor: Float[np.ndarray, "r 3"],
+) -> None:
     for row in range(len(alpha)):
         for c in range(3):
             factor[row, c] = scattered(albedo, mean, cosine[row], alpha[row], specular[row, c])
 
 
-def _of_pairs(view: Vectors, light: Vectors, alpha: Scalars) -> Float[np.ndarray, 2 * batch]:
+def _of_pairs(view: Vectors, light: Vectors, alpha: Scalars) -> tuple[Scalars, Scalars]:
     found = np.empty((2, alpha.size))
     _lobe_and_pdf_each(_rows(view), _rows(light), _flat(alpha), found)
-    return found.reshape(2, *alpha.shape)
+    return found[0].reshape(alpha.shape), found[1].reshape(alpha.shape)
 
 
 def _rows(vectors: np.ndarray) -> Float[np.ndarray, "n 3"]:

@@ -3,21 +3,25 @@
 from __future__ import annotations
 
 import numpy as np
+from jaxtyping import Float
 
 from rfpp.gbuffer.compiled import compiled
-from rfpp.gbuffer.counted_random import key_of, spread, uniform
-from rfpp.gbuffer.embree import blocked, new_ray
+from rfpp.gbuffer.counted_random import Key, key_of, spread, uniform
+from rfpp.gbuffer.embree import Ray, blocked, new_ray
 from rfpp.gbuffer.ggx import lobe_and_pdf, sampled
-from rfpp.gbuffer.lit_scene import CLEARANCE, light_of, met, scattering
+from rfpp.gbuffer.lit_scene import CLEARANCE, LitScene, light_of, met, scattering
 from rfpp.gbuffer.polygon_light import of_triangle
-from rfpp.gbuffer.vectors import dot, in_frame, in_world, tangents, triple
+from rfpp.gbuffer.surface import Points
+from rfpp.gbuffer.vectors import Triple, Vector, dot, in_frame, in_world, tangents, triple
 
 #: Lobes wider than this α find emitters by samples of the lights alone.
 WIDE = 0.1
 
 
 @compiled
-def light_sample(scene, ray, light, point, normal, u, v):
+def light_sample(
+    scene: LitScene, ray: Ray, light: int, point: Vector, normal: Vector, u: float, v: float
+) -> tuple[int, Triple, float, float, bool]:
     """A point of a light: its emitter, direction, density per solid angle, what would arrive of the mean radiance with
     nothing in between, and whether nothing is."""
     e = _emitter_at(scene, light, u)
@@ -38,13 +42,16 @@ def light_sample(scene, ray, light, point, normal, u, v):
 
 
 @compiled
-def density_of(scene, e, way, distance):
+def density_of(scene: LitScene, e: int, way: Vector, distance: float) -> float:
     """Of samples of its light, per solid angle, at a point of an emitter; infinite for one seen edge-on."""
-    return scene.density[e] * distance * distance / abs(dot(way, scene.facing[e]))
+    density: float = scene.density[e]
+    return density * distance * distance / abs(dot(way, scene.facing[e]))
 
 
 @compiled
-def by_formula(scene, light, point, normal, share, diffuse):
+def by_formula(
+    scene: LitScene, light: int, point: Vector, normal: Vector, share: float, diffuse: Float[np.ndarray, " 3"]
+) -> None:
     """Adds irradiance / π of a light of which a share is in sight, by Lambert's formula."""
     for e in range(scene.first[light], scene.first[light + 1]):
         factor = of_triangle(point, normal, scene.corners[e]) * share
@@ -53,7 +60,7 @@ def by_formula(scene, light, point, normal, share, diffuse):
 
 
 @compiled
-def over_density(own, other):
+def over_density(own: float, other: float) -> float:
     """1 / own density, times the weight of a sample that the other way of sampling could have given too.
 
     The power heuristic own² / (own² + other²) (Veach 1997): a sharp lobe is left to its own samples, which see the
@@ -63,14 +70,25 @@ def over_density(own, other):
 
 
 @compiled
-def along_lobe(view, alpha, u, v, first, second, normal):
+def along_lobe(
+    view: Vector, alpha: float, u: float, v: float, first: Vector, second: Vector, normal: Vector
+) -> tuple[Triple, Triple]:
     """A direction that the glossy lobe samples: in the frame of two tangents and the normal, and in the world."""
     toward = sampled(view, alpha, u, v)
     return toward, in_world(toward, first, second, normal)
 
 
 @compiled
-def emitter_light(scene, emitter, way, distance, view, toward, alpha, glossy):
+def emitter_light(
+    scene: LitScene,
+    emitter: int,
+    way: Vector,
+    distance: float,
+    view: Vector,
+    toward: Vector,
+    alpha: float,
+    glossy: Float[np.ndarray, " 3"],
+) -> None:
     """Adds what a ray of the lobe that has met an emitter brings, untinted and of single scattering."""
     if not scene.shining[light_of(scene, emitter)]:
         return
@@ -81,7 +99,20 @@ def emitter_light(scene, emitter, way, distance, view, toward, alpha, glossy):
 
 
 @compiled
-def direct_at(scene, ray, point, normal, view, alpha, specular, samples, key, wants_diffuse, diffuse, glossy):
+def direct_at(
+    scene: LitScene,
+    ray: Ray,
+    point: Vector,
+    normal: Vector,
+    view: Vector,
+    alpha: float,
+    specular: Vector,
+    samples: int,
+    key: Key,
+    wants_diffuse: bool,
+    diffuse: Float[np.ndarray, " 3"],
+    glossy: Float[np.ndarray, " 3"],
+) -> None:
     """Sets irradiance / π and glossy light at a point, in the units of `DirectLight`.
 
     Args:
@@ -130,7 +161,16 @@ def direct_at(scene, ray, point, normal, view, alpha, specular, samples, key, wa
 
 
 @compiled
-def gathered_each(start, stop, scene, points, samples, key, diffuse, glossy):
+def gathered_each(
+    start: int,
+    stop: int,
+    scene: LitScene,
+    points: Points,
+    samples: int,
+    key: Key,
+    diffuse: Float[np.ndarray, "r 3"],
+    glossy: Float[np.ndarray, "r 3"],
+) -> None:
     """Direct light at points.
 
     Args:
@@ -147,9 +187,10 @@ def gathered_each(start, stop, scene, points, samples, key, diffuse, glossy):
 
 
 @compiled
-def _emitter_at(scene, light, u):
+def _emitter_at(scene: LitScene, light: int, u: float) -> int:
     """The emitter of a light whose step a number lies in."""
-    low, high = scene.first[light], scene.first[light + 1] - 1
+    low: int = scene.first[light]
+    high: int = scene.first[light + 1] - 1
     while low < high:
         middle = (low + high) // 2
         if scene.steps[middle] > u:

@@ -74,4 +74,5 @@ class LightSampler:
 
     def emitter_of(self, triangle: Int[np.ndarray, "*batch"]) -> Int[np.ndarray, "*batch"]:
         """The emitter that a triangle is; -1 for others, and for -1."""
-        return np.append(self.scene.emitter, -1)[triangle]
+        emitter: np.ndarray = np.append(self.scene.emitter, -1)[triangle]
+        return emitter

@@ -8,9 +8,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from rfpp.gbuffer import ggx
-from rfpp.gbuffer.compiled import compiled
-from rfpp.gbuffer.embree import closest
-from rfpp.gbuffer.vectors import added, dot, normal_of, scaled, triple, unit
+from rfpp.gbuffer.compiled import compiled, float64
+from rfpp.gbuffer.embree import Ray, closest
+from rfpp.gbuffer.vectors import Triple, Vector, added, dot, normal_of, scaled, triple, unit
 
 #: Rays start and end this far from surfaces, in world units (a scene's edge is 1).
 CLEARANCE = 1e-4
@@ -49,7 +49,7 @@ class LitScene(NamedTuple):
 
 
 @compiled
-def light_of(scene, emitter):
+def light_of(scene: LitScene, emitter: int) -> int:
     """The light that an emitter belongs to."""
     light = 0
     while scene.first[light + 1] <= emitter:
@@ -58,14 +58,16 @@ def light_of(scene, emitter):
 
 
 @compiled
-def met(scene, ray, origin, way):
+def met(scene: LitScene, ray: Ray, origin: Vector, way: Vector) -> tuple[int, float, float, float, Triple]:
     """What a ray meets: triangle (-1 for none), weights of its corners 1 and 2, distance, and the point."""
     triangle, u, v, distance = closest(scene.address, ray, origin, way)
     return triangle, u, v, distance, added(origin, scaled(way, distance if triangle >= 0 else 0.0))
 
 
 @compiled
-def surface_there(scene, triangle, u, v, way, point):
+def surface_there(
+    scene: LitScene, triangle: int, u: float, v: float, way: Vector, point: Vector
+) -> tuple[Triple, Triple, Triple]:
     """Of what a ray of this direction has met: where rays from it start, its shading normal on the ray's side, and the
     direction back."""
     corners = scene.positions[triangle]
@@ -80,26 +82,27 @@ def surface_there(scene, triangle, u, v, way, point):
 
 
 @compiled
-def scattering(scene, cosine, alpha, specular):
+def scattering(scene: LitScene, cosine: float, alpha: float, specular: float) -> float:
     """See `rfpp.gbuffer.ggx.multiple_scattering`: of one surface and colour."""
     return ggx.scattered(scene.albedo, scene.mean_albedo, cosine, alpha, specular)
 
 
 @compiled
-def alpha_of(scene, triangle):
+def alpha_of(scene: LitScene, triangle: int) -> float:
     """Of its glossy lobe."""
-    roughness = np.float64(scene.material[triangle, 6])
+    roughness = float64(scene.material[triangle, 6])
     return max(roughness * roughness, ggx.MIN_ALPHA)
 
 
 @compiled
-def blurred(alpha, density):
+def blurred(alpha: float, density: float) -> float:
     """α of what is seen by rays of this density: at least √(1 - density) / 2, as "Filter Glossy" 1 of Cycles has it."""
-    return max(alpha, 0.5 * np.sqrt(max(1 - density, 0.0)))
+    spread: float = np.sqrt(max(1 - density, 0.0))
+    return max(alpha, 0.5 * spread)
 
 
 @compiled
-def density_of_lobes(diffuse, specular, cosine, by_lobe):
+def density_of_lobes(diffuse: float, specular: float, cosine: float, by_lobe: float) -> float:
     """With which both lobes of a surface together send out a ray, per solid angle.
 
     Args:

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
+from jaxtyping import Bool, Float
 
 from rfpp.gbuffer import ggx
 from rfpp.gbuffer.compiled import compiled
-from rfpp.gbuffer.counted_random import key_of, spread, uniform
+from rfpp.gbuffer.counted_random import Key, key_of, spread, uniform
 from rfpp.gbuffer.embree import new_ray
 from rfpp.gbuffer.ggx import lobe_and_pdf
 from rfpp.gbuffer.light_loops import along_lobe, by_formula, direct_at, emitter_light, light_sample, over_density
 from rfpp.gbuffer.lit_scene import (
+    LitScene,
     alpha_of,
     blurred,
     density_of_lobes,
@@ -18,6 +20,7 @@ from rfpp.gbuffer.lit_scene import (
     scattering,
     surface_there,
 )
+from rfpp.gbuffer.surface import Points
 from rfpp.gbuffer.vectors import dot, in_frame, tangents, triple
 
 #: What is summed of the samples of one light, for each point.
@@ -30,7 +33,18 @@ HIDDEN, CLEAR = 1, 2
 
 
 @compiled
-def light_samples(start, stop, scene, light, points, begin, end, only, key, sums):
+def light_samples(
+    start: int,
+    stop: int,
+    scene: LitScene,
+    light: int,
+    points: Points,
+    begin: int,
+    end: int,
+    only: Bool[np.ndarray, " pixels"],
+    key: Key,
+    sums: Float[np.ndarray, "r sums"],
+) -> None:
     """Adds samples of one light to the sums of each point.
 
     Args:
@@ -72,7 +86,15 @@ def light_samples(start, stop, scene, light, points, begin, end, only, key, sums
 
 
 @compiled
-def find_edges(points, sums, samples, height, width, reach, edge):
+def find_edges(
+    points: Points,
+    sums: Float[np.ndarray, "r sums"],
+    samples: int,
+    height: int,
+    width: int,
+    reach: int,
+    edge: Bool[np.ndarray, " pixels"],
+) -> None:
     """Fills in which pixels want more samples of a light: those that see it whole and hidden, themselves or within so
     many pixels, at the edges of shadows, and those with a highlight of it that is sharp or noisy.
 
@@ -107,7 +129,19 @@ def find_edges(points, sums, samples, height, width, reach, edge):
 
 
 @compiled
-def of_light(start, stop, scene, light, points, edge, few, many, sums, diffuse, glossy):
+def of_light(
+    start: int,
+    stop: int,
+    scene: LitScene,
+    light: int,
+    points: Points,
+    edge: Bool[np.ndarray, " pixels"],
+    few: int,
+    many: int,
+    sums: Float[np.ndarray, "r sums"],
+    diffuse: Float[np.ndarray, "r 3"],
+    glossy: Float[np.ndarray, "r 3"],
+) -> None:
     """Adds the light of one light to what each point has.
 
     Args:
@@ -132,7 +166,18 @@ def of_light(start, stop, scene, light, points, edge, few, many, sums, diffuse, 
 
 
 @compiled
-def lobe_rays(start, stop, scene, points, samples, reflects, key, glossy, light, albedo):
+def lobe_rays(
+    start: int,
+    stop: int,
+    scene: LitScene,
+    points: Points,
+    samples: int,
+    reflects: bool,
+    key: Key,
+    glossy: Float[np.ndarray, "r 3"],
+    light: Float[np.ndarray, "r 3"],
+    albedo: Float[np.ndarray, "r 3"],
+) -> None:
     """What rays of the glossy lobe bring: of emitters, and of surfaces that are lit by them.
 
     Args:
@@ -195,7 +240,7 @@ def lobe_rays(start, stop, scene, points, samples, reflects, key, glossy, light,
 
 
 @compiled
-def _rays(samples, alpha, specular):
+def _rays(samples: int, alpha: float, specular: float) -> int:
     """Of a point's glossy lobe."""
     if alpha <= ggx.MIN_ALPHA:
         return 1

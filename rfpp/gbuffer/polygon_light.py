@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from rfpp.gbuffer.compiled import compiled
+from rfpp.gbuffer.vectors import Triple, Vector
 
 
 def form_factor(
@@ -18,19 +19,25 @@ def form_factor(
     the horizon cuts the triangle, the cut is one more edge (Lambert 1760; Baum et al. 1989 for the clipping).
     """
     factors = np.empty((len(points), len(corners)))
-    _each(*(np.ascontiguousarray(x, np.float64) for x in (points, normals, corners)), factors)
+    points, normals, corners = (np.ascontiguousarray(x, np.float64) for x in (points, normals, corners))
+    _each(points, normals, corners, factors)
     return factors
 
 
 @compiled
-def _each(points, normals, corners, factors):
+def _each(
+    points: Float[np.ndarray, "r 3"],
+    normals: Float[np.ndarray, "r 3"],
+    corners: Float[np.ndarray, "e 3 3"],
+    factors: Float[np.ndarray, "r e"],
+) -> None:
     for row in range(len(points)):
         for triangle in range(len(corners)):
             factors[row, triangle] = of_triangle(points[row], normals[row], corners[triangle])
 
 
 @compiled
-def of_triangle(point, normal, corners):
+def of_triangle(point: Vector, normal: Vector, corners: Float[np.ndarray, "3 3"]) -> float:
     """See `form_factor`: of one triangle at one point."""
     total = 0.0
     leaving, entering = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
@@ -54,16 +61,16 @@ def of_triangle(point, normal, corners):
 
 
 @compiled
-def _seen(point, normal, corner):
+def _seen(point: Vector, normal: Vector, corner: Vector) -> tuple[Triple, float]:
     """The corner from the point, and its height above the horizon."""
     x, y, z = corner[0] - point[0], corner[1] - point[1], corner[2] - point[2]
     return (x, y, z), x * normal[0] + y * normal[1] + z * normal[2]
 
 
 @compiled
-def _edge(a, b, normal):
+def _edge(a: Vector, b: Vector, normal: Vector) -> float:
     """angle(a, b) · (unit a × b) · normal."""
     x, y, z = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
-    size = np.sqrt(x * x + y * y + z * z)
-    angle = np.arctan2(size, a[0] * b[0] + a[1] * b[1] + a[2] * b[2])
+    size: float = np.sqrt(x * x + y * y + z * z)
+    angle: float = np.arctan2(size, a[0] * b[0] + a[1] * b[1] + a[2] * b[2])
     return (x * normal[0] + y * normal[1] + z * normal[2]) * angle / max(size, 1e-30)

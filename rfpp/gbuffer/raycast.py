@@ -74,7 +74,16 @@ def _packed(vectors: np.ndarray) -> np.ndarray:
 
 
 @compiled
-def _cast(first, last, address, origins, ways, triangle, barycentric, distance):
+def _cast(
+    first: int,
+    last: int,
+    address: int,
+    origins: Float[np.ndarray, "r 3"],
+    ways: Float[np.ndarray, "r 3"],
+    triangle: Int[np.ndarray, " r"],
+    barycentric: Float[np.ndarray, "r 3"],
+    distance: Float[np.ndarray, " r"],
+) -> None:
     ray = new_ray()
     for row in range(first, last):
         hit, u, v, reach = closest(address, ray, origins[row], ways[row])
@@ -83,7 +92,15 @@ def _cast(first, last, address, origins, ways, triangle, barycentric, distance):
 
 
 @compiled
-def _occluded(first, last, address, origins, ways, reach, found):
+def _occluded(
+    first: int,
+    last: int,
+    address: int,
+    origins: Float[np.ndarray, "r 3"],
+    ways: Float[np.ndarray, "r 3"],
+    reach: Float[np.ndarray, " r"],
+    found: Bool[np.ndarray, " r"],
+) -> None:
     ray = new_ray()
     for row in range(first, last):
         found[row] = blocked(address, ray, origins[row], ways[row], reach[row])

@@ -118,7 +118,7 @@ class Surface:
 
 
 @compiled
-def _frames(normals, frames):
+def _frames(normals: Float[np.ndarray, "r 3"], frames: Float[np.ndarray, "r 3 3"]) -> None:
     for row in range(len(normals)):
         first, second = tangents(normals[row])
         for k in range(3):
@@ -126,7 +126,15 @@ def _frames(normals, frames):
 
 
 @compiled
-def _in_front(positions, triangle, position, normal, eye, point, view):
+def _in_front(
+    positions: Float[np.ndarray, "m 3 3"],
+    triangle: Int[np.ndarray, " r"],
+    position: Float[np.ndarray, "r 3"],
+    normal: Float[np.ndarray, "r 3"],
+    eye: Float[np.ndarray, "r 3"],
+    point: Float[np.ndarray, "r 3"],
+    view: Float[np.ndarray, "r 3"],
+) -> None:
     """Fills in where rays start, and the unit direction to the eye."""
     for row in range(len(triangle)):
         here = position[row]
@@ -152,11 +160,13 @@ def cosine_directions(surface: Surface, random: Float[np.ndarray, "r 2"]) -> Flo
     """World directions as dense as diffuse light arrives from them: points of a disc, lifted (Malley 1988)."""
     radius, angle = np.sqrt(random[:, 0]), 2 * np.pi * random[:, 1]
     local = np.stack([radius * np.cos(angle), radius * np.sin(angle), np.sqrt(1 - random[:, 0])], axis=-1)
-    return np.einsum("rk,rkx->rx", local, surface.frame())
+    directions: np.ndarray = np.einsum("rk,rkx->rx", local, surface.frame())
+    return directions
 
 
 def lattice(samples: int, shift: Float[np.ndarray, "r 2"]) -> Float[np.ndarray, "r s 2"]:
     """Well-spread points of the unit square, displaced per row (Cranley and Patterson 1976)."""
     count = np.arange(samples)
     spread = np.stack([(count + 0.5) / samples, count * GOLDEN % 1], axis=-1)
-    return (spread + shift[:, None]) % 1
+    displaced: np.ndarray = spread + shift[:, None]
+    return displaced % 1

@@ -3,39 +3,43 @@
 from __future__ import annotations
 
 import numpy as np
+from jaxtyping import Float
 
-from rfpp.gbuffer.compiled import compiled
+from rfpp.gbuffer.compiled import compiled, float64
 
+#: A vector in registers; and any three numbers, of an array too.
+Triple = tuple[float, float, float]
+Vector = Triple | np.ndarray
 #: Multiples of it, modulo 1, spread evenly over the unit interval however many they are.
 GOLDEN = 0.6180339887498949
 
 
 @compiled
-def dot(a, b):
+def dot(a: Vector, b: Vector) -> float:
     """Their scalar product."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 @compiled
-def added(a, b):
+def added(a: Vector, b: Vector) -> Triple:
     """Their sum."""
     return a[0] + b[0], a[1] + b[1], a[2] + b[2]
 
 
 @compiled
-def scaled(a, factor):
+def scaled(a: Vector, factor: float) -> Triple:
     """A multiple."""
     return a[0] * factor, a[1] * factor, a[2] * factor
 
 
 @compiled
-def triple(row):
+def triple(row: Float[np.ndarray, " 3"]) -> Triple:
     """Three numbers of an array, as a vector in registers."""
-    return np.float64(row[0]), np.float64(row[1]), np.float64(row[2])
+    return float64(row[0]), float64(row[1]), float64(row[2])
 
 
 @compiled
-def in_world(vector, first, second, normal):
+def in_world(vector: Vector, first: Vector, second: Vector, normal: Vector) -> Triple:
     """The vector with these parts along two tangents and a normal."""
     x, y, z = vector
     return (
@@ -46,14 +50,14 @@ def in_world(vector, first, second, normal):
 
 
 @compiled
-def unit(x, y, z):
+def unit(x: float, y: float, z: float) -> Triple:
     """The vector's direction."""
     length = max(np.sqrt(x * x + y * y + z * z), 1e-20)
     return x / length, y / length, z / length
 
 
 @compiled
-def tangents(normal):
+def tangents(normal: Vector) -> tuple[Triple, Triple]:
     """Two, with which a unit normal is a frame (Duff et al., "Building an Orthonormal Basis, Revisited", 2017)."""
     x, y, z = normal
     sign = -1.0 if z < 0 else 1.0
@@ -63,7 +67,7 @@ def tangents(normal):
 
 
 @compiled
-def in_frame(vector, first, second, normal):
+def in_frame(vector: Vector, first: Vector, second: Vector, normal: Vector) -> Triple:
     """The vector's parts along two tangents and a normal."""
     x, y, z = vector
     along = x * normal[0] + y * normal[1] + z * normal[2]
@@ -71,7 +75,7 @@ def in_frame(vector, first, second, normal):
 
 
 @compiled
-def normal_of(a, b, c):
+def normal_of(a: Vector, b: Vector, c: Vector) -> Triple:
     """Along the normal of a triangle, as long as twice its area."""
     ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
     vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]

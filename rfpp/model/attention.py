@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 import torch
@@ -66,7 +66,9 @@ class AttentionPattern:
 
     @cached_property
     def inverse_order(self) -> Int[Tensor, " n"]:
-        """Where each row stands in `order`."""
+        """Where each row stands in `order`. Raises ValueError where there is none."""
+        if self.order is None:
+            raise ValueError("these rows are in order")
         return self.order.argsort()
 
     @cached_property
@@ -172,14 +174,14 @@ class _Regather(torch.autograd.Function):
     """
 
     @staticmethod
-    def forward(ctx, x: Tensor, index: Tensor, inverse: Tensor) -> Tensor:
+    def forward(ctx: Any, x: Tensor, index: Tensor, inverse: Tensor) -> Tensor:
         ctx.save_for_backward(inverse)
         ctx.padding_in_input = len(index) < len(inverse)
         ctx.index = index
         return x.index_select(0, index)
 
     @staticmethod
-    def backward(ctx, grad: Tensor):
+    def backward(ctx: Any, grad: Tensor) -> tuple[Tensor, None, None]:
         (inverse,) = ctx.saved_tensors
         if not ctx.padding_in_input:
             return grad.index_select(0, inverse), None, None
@@ -198,8 +200,9 @@ def attend(
     if pattern.order is None:
         return backend(q, k, v, pattern)
     there, back = pattern.order, pattern.inverse_order
-    out = backend(*(_Regather.apply(x, there, back) for x in (q, k, v)), pattern)
-    return _Regather.apply(out, back, there)
+    q, k, v = (_Regather.apply(x, there, back) for x in (q, k, v))
+    out: Tensor = _Regather.apply(backend(q, k, v, pattern), back, there)
+    return out
 
 
 def has_varlen_kernel(q: Float[Tensor, "n h d"]) -> bool:
@@ -222,12 +225,13 @@ def _attend_dense(q: Tensor, k: Tensor, v: Tensor, mask: Tensor | None) -> Tenso
     # copies: the backward pass would keep the rows of all buckets for a view of some
     heads = [x.clone(memory_format=torch.contiguous_format).flatten(0, 1) for x in (q, k, v)]
     attend_heads = TiledAttention.apply if q.shape[-2] * k.shape[-2] > SMALL_ATTENTION else _attend_at_once
-    return attend_heads(*heads, real).unflatten(0, q.shape[:2])
+    out: Tensor = attend_heads(*heads, real)
+    return cast(Tensor, out.unflatten(0, q.shape[:2]))
 
 
 def _attend_at_once(q: Tensor, k: Tensor, v: Tensor, real: Tensor | None) -> Tensor:
     """[b·H, L, D] each; `real` [b·H, 1, Lk], False = padding."""
-    scores = (q * q.shape[-1] ** -0.5) @ k.transpose(-1, -2)
+    scores: Tensor = (q * q.shape[-1] ** -0.5) @ k.transpose(-1, -2)
     if real is not None:
         scores = scores.masked_fill(~real, float("-inf"))
     return scores.softmax(dim=-1) @ v
@@ -238,14 +242,15 @@ def attend_varlen(q: Tensor, k: Tensor, v: Tensor, pattern: AttentionPattern) ->
     from torch.nn.attention.varlen import varlen_attn
 
     offsets = pattern.queries.offsets, pattern.keys.offsets
-    return varlen_attn(q, k, v, *offsets, pattern.longest_query, pattern.longest_key)
+    out = varlen_attn(q, k, v, *offsets, pattern.longest_query, pattern.longest_key)
+    return cast(Tensor, out)  # a pair where log-sum-exps are asked for
 
 
 def attend_equal(q: Tensor, k: Tensor, v: Tensor, pattern: AttentionPattern) -> Tensor:
     """Dense attention in segments of one length (CUDA, half precision)."""
     heads = [x.unflatten(0, (-1, pattern.equal_length)).transpose(1, 2) for x in (q, k, v)]  # [segments, h, length, d]
     with sdpa_kernel([SDPBackend.CUDNN_ATTENTION, SDPBackend.FLASH_ATTENTION], set_priority=True):
-        out = F.scaled_dot_product_attention(*heads)
+        out: Tensor = F.scaled_dot_product_attention(*heads)
     return out.transpose(1, 2).flatten(0, 1)
 
 

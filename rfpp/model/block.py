@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any, cast
+
 import torch
 import torch.nn.functional as F
 from jaxtyping import Float
@@ -28,7 +30,8 @@ class RMSNorm(nn.RMSNorm):
     def forward(self, x: Float[Tensor, "*rows width"]) -> Float[Tensor, "*rows width"]:
         if x.is_cuda or torch.compiler.is_compiling():
             return F.rms_norm(x, self.normalized_shape, self.weight.to(x.dtype), self.eps)
-        return _NormaliseRows.apply(x, self.weight.to(x.dtype), self.eps)
+        normalised: Tensor = _NormaliseRows.apply(x, self.weight.to(x.dtype), self.eps)
+        return normalised
 
 
 class _NormaliseRows(torch.autograd.Function):
@@ -38,15 +41,15 @@ class _NormaliseRows(torch.autograd.Function):
     """
 
     @staticmethod
-    def forward(ctx, x: Tensor, weight: Tensor, eps: float) -> Tensor:
+    def forward(ctx: Any, x: Tensor, weight: Tensor, eps: float) -> Tensor:
         norm = torch.linalg.vector_norm(x, dim=-1, keepdim=True, dtype=torch.float32)
         inverse = (norm.square() / x.shape[-1] + eps).rsqrt().to(x.dtype)
-        unit = x * inverse
+        unit: Tensor = x * inverse
         ctx.save_for_backward(as_multiplied(unit), inverse, weight)
         return unit * weight
 
     @staticmethod
-    def backward(ctx, grad: Tensor):
+    def backward(ctx: Any, grad: Tensor) -> tuple[Tensor, Tensor, None]:
         unit, inverse, weight = ctx.saved_tensors
         along = grad * unit
         mean = (along @ weight)[..., None] / unit.shape[-1]
@@ -71,7 +74,8 @@ class SelfAttention(nn.Module):
         q, k, v = _linears(x, self.in_proj, 3)
         q = rotate(_split(self.q_norm(q), self.heads), rotation)
         k = rotate(_split(self.k_norm(k), self.heads), rotation)
-        return self.out_proj(attend(q, k, _split(v, self.heads), pattern).flatten(1))
+        out: Tensor = self.out_proj(attend(q, k, _split(v, self.heads), pattern).flatten(1))
+        return out
 
 
 class CrossAttention(nn.Module):
@@ -104,7 +108,8 @@ class CrossAttention(nn.Module):
     ) -> Float[Tensor, "n width"]:
         """`keys` are already rotated; `rotation` is that of the queries."""
         q = rotate(_split(self.q_norm(self.q_proj(x)), self.heads), rotation)
-        return self.out_proj(attend(q, keys, values, pattern).flatten(1))
+        out: Tensor = self.out_proj(attend(q, keys, values, pattern).flatten(1))
+        return out
 
 
 class SwiGLU(nn.Module):
@@ -118,19 +123,20 @@ class SwiGLU(nn.Module):
     def forward(self, x: Float[Tensor, "n width"]) -> Float[Tensor, "n width"]:
         gate, value = _linears(x, self.in_proj, 2)
         gated = F.silu(gate) * value if torch.compiler.is_compiling() else _Gate.apply(gate, value)
-        return self.out_proj(gated)
+        out: Tensor = self.out_proj(gated)
+        return out
 
 
 class _Gate(torch.autograd.Function):
     """silu(gate) · value, which keeps nothing else for its derivative: half the memory of the widest layer."""
 
     @staticmethod
-    def forward(ctx, gate: Tensor, value: Tensor) -> Tensor:
+    def forward(ctx: Any, gate: Tensor, value: Tensor) -> Tensor:
         ctx.save_for_backward(gate, value)
         return F.silu(gate).mul_(value)
 
     @staticmethod
-    def backward(ctx, grad: Tensor):
+    def backward(ctx: Any, grad: Tensor) -> tuple[Tensor, Tensor]:
         gate, value = ctx.saved_tensors
         return torch.ops.aten.silu_backward(grad * value, gate), F.silu(gate).mul_(grad)
 
@@ -145,7 +151,8 @@ class SelfBlock(nn.Module):
 
     def forward(self, x: Tensor, pattern: AttentionPattern, rotation: Rotation | None) -> Tensor:
         x = x + self.attention(self.attention_norm(x), pattern, rotation)
-        return x + self.feed_forward(self.feed_forward_norm(x))
+        out: Tensor = x + self.feed_forward(self.feed_forward_norm(x))
+        return out
 
 
 class CrossBlock(nn.Module):
@@ -168,11 +175,12 @@ class CrossBlock(nn.Module):
         keys, values = self.attention.project(self.context_norm(context))
         keys = rotate(keys, context_rotation)
         x = x + self.attention(self.query_norm(x), keys, values, pattern, rotation)
-        return x + self.feed_forward(self.feed_forward_norm(x))
+        out: Tensor = x + self.feed_forward(self.feed_forward_norm(x))
+        return out
 
 
 def _split(x: Float[Tensor, "n width"], heads: int) -> Float[Tensor, "n h d"]:
-    return x.unflatten(-1, (heads, -1))
+    return cast(Tensor, x.unflatten(-1, (heads, -1)))
 
 
 def _linears(x: Float[Tensor, "n width"], stacked: nn.Linear, parts: int) -> tuple[Tensor, ...]:
@@ -181,6 +189,7 @@ def _linears(x: Float[Tensor, "n width"], stacked: nn.Linear, parts: int) -> tup
     A GPU takes them in one product, whose launch costs more than what follows on slices. On a CPU each is contiguous.
     """
     if x.is_cuda:
-        return stacked(x).chunk(parts, dim=-1)
+        product: Tensor = stacked(x)
+        return product.chunk(parts, dim=-1)
     x = as_multiplied(x)  # once, not for each part
     return tuple(F.linear(x, weight) for weight in stacked.weight.chunk(parts))

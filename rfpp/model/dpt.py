@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import cast
 
 import torch.nn.functional as F
 from jaxtyping import Float
@@ -49,7 +50,11 @@ class DPTHead(nn.Module):
         self.out = nn.Sequential(
             nn.Conv2d(channels // 2, channels // 4, 3, padding=1), nn.SiLU(), nn.Conv2d(channels // 4, maps, 1)
         )
-        nn.init.constant_(self.out[-1].bias, INITIAL_LOG_RADIANCE)
+        self.start_at(INITIAL_LOG_RADIANCE)
+
+    def start_at(self, value: float) -> None:
+        """Sets what maps are about before any training."""
+        nn.init.constant_(cast(Tensor, self.out[-1].bias), value)
 
     def forward(
         self, features: Sequence[Float[Tensor, "n c h w"]], height: int, width: int
@@ -64,7 +69,8 @@ class DPTHead(nn.Module):
         x = self.fuse[0](x, levels[0], (height, width))
         x = self.out[:-1](_resize(self.smooth(x), (height, width)))
         with in_float32(x):  # bfloat16's eight bits are too few for an image
-            return self.out[-1](x.float())
+            maps: Tensor = self.out[-1](x.float())
+        return maps
 
 
 class HalvingConv(nn.Conv2d):
@@ -92,7 +98,8 @@ class FusionBlock(nn.Module):
     def forward(self, x: Tensor, skip: Tensor | None, size: tuple[int, int]) -> Tensor:
         if self.refine_skip is not None:
             x = x + self.refine_skip(skip)
-        return self.out(_resize(self.refine(x), size))
+        enlarged: Tensor = self.out(_resize(self.refine(x), size))
+        return enlarged
 
 
 class ResidualConvUnit(nn.Module):
@@ -104,7 +111,8 @@ class ResidualConvUnit(nn.Module):
         self.conv2 = nn.Conv2d(channels, channels, 3, padding=1)
 
     def forward(self, x: Tensor) -> Tensor:
-        return x + self.conv2(F.silu(self.conv1(F.silu(x))))
+        refined: Tensor = x + self.conv2(F.silu(self.conv1(F.silu(x))))
+        return refined
 
 
 def _resize(x: Tensor, size: tuple[int, int]) -> Tensor:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from jaxtyping import Float
@@ -25,6 +26,8 @@ class FrequencyEncoding(nn.Module):
 
     Each value's frequencies are contiguous, all sines come before all cosines.
     """
+
+    frequencies: Tensor
 
     def __init__(self, num_frequencies: int):
         super().__init__()
@@ -50,6 +53,8 @@ class RelativeSpatialEncoding(nn.Module):
         ValueError: 9F angles do not fit into half a head.
     """
 
+    frequencies: Tensor
+
     def __init__(self, head_dim: int, num_frequencies: int):
         super().__init__()
         if 9 * num_frequencies > head_dim // 2:
@@ -74,20 +79,22 @@ def rotate(x: Float[Tensor, "n h d"], rotation: Rotation | None) -> Float[Tensor
     if cos.requires_grad or torch.compiler.is_compiling():  # someone optimises positions, or traces us
         a, b = x.chunk(2, dim=-1)
         return torch.cat([a * cos - b * sin, b * cos + a * sin], dim=-1)
-    return _Rotate.apply(x, cos, sin)
+    rotated: Tensor = _Rotate.apply(x, cos, sin)
+    return rotated
 
 
 class _Rotate(torch.autograd.Function):
     """The rotation in place of four temporaries; its derivative turns back."""
 
     @staticmethod
-    def forward(ctx, x: Tensor, cos: Tensor, sin: Tensor) -> Tensor:
+    def forward(ctx: Any, x: Tensor, cos: Tensor, sin: Tensor) -> Tensor:
         ctx.save_for_backward(cos, sin)
         return _turned(x, cos, sin, 1)
 
     @staticmethod
-    def backward(ctx, grad: Tensor):
-        return _turned(grad, *ctx.saved_tensors, -1), None, None
+    def backward(ctx: Any, grad: Tensor) -> tuple[Tensor, None, None]:
+        cos, sin = ctx.saved_tensors
+        return _turned(grad, cos, sin, -1), None, None
 
 
 def _turned(x: Tensor, cos: Tensor, sin: Tensor, direction: int) -> Tensor:

@@ -83,4 +83,5 @@ class JointWindow:
         alike = torch.exp(-0.5 * (off_plane.square() + turned)) * seen
         glossy = self.SHARPEST + (self.spread - self.SHARPEST) * roughness[:, 0]
         spreads = torch.stack([torch.full_like(glossy, self.spread), glossy], dim=1)
-        return alike[:, None] * torch.exp(-0.5 * distance2 / spreads.square())
+        weights: Tensor = alike[:, None] * torch.exp(-0.5 * distance2 / spreads.square())
+        return weights

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import torch
 from jaxtyping import Float
-from torch import Tensor, nn
+from torch import Tensor
 
 from rfpp.gbuffer.first_hit import GATHERED_CHANNELS
 from rfpp.model.cell_gathering import CellGathering, EvenGathering
@@ -67,9 +68,9 @@ class LinearViewDecoder(ViewDecoder):
 
     linear_in_lights = True
 
-    def __init__(self, *, shading: CellGathering, **others):
+    def __init__(self, *, shading: CellGathering, **others: Any):
         super().__init__(**others, shading=shading)
-        nn.init.zeros_(self.head.out[-1].bias)
+        self.head.start_at(0.0)
 
     def _shaded(
         self,
@@ -81,7 +82,7 @@ class LinearViewDecoder(ViewDecoder):
     ) -> Float[Tensor, "n 3 h w"]:
         def gather(shared: Float[Tensor, "n 3 h w"]) -> Float[Tensor, "n 6 h w"]:
             with in_float32(maps):
-                return self.shading(maps, of_pixels.linear(self.shading.channels), scene.cells, shared)
+                return self.shading(maps, of_pixels.linear(self.shading.channels), scene.lit_cells, shared)
 
         return radiance_with(gather, of_points, supersampling)
 
@@ -103,14 +104,14 @@ class CorrectedViewDecoder(ViewDecoder):
         others: see ViewDecoder; its `gbuffer_channels` may name GATHERED_CHANNELS.
     """
 
-    def __init__(self, *, gathering: EvenGathering, shading: BoundedFactors, **others):
+    def __init__(self, *, gathering: EvenGathering, shading: BoundedFactors, **others: Any):
         super().__init__(**others, shading=shading)
         self.gathering = gathering
-        nn.init.zeros_(self.head.out[-1].bias)
+        self.head.start_at(0.0)
 
     def _completed(self, of_pixels: ViewChannels, scene: SceneTokens) -> ViewChannels:
         with in_float32(of_pixels.gbuffer):
-            gathered = self.gathering(of_pixels.linear(self.gathering.channels), scene.cells)
+            gathered = self.gathering(of_pixels.linear(self.gathering.channels), scene.lit_cells)
         return of_pixels.with_gathered(gathered * of_pixels.exposure[:, None, None, None])
 
     def _shaded(

@@ -65,7 +65,7 @@ class LinearTransport(nn.Module):
 
     def forward(self, tokens: SceneTokens) -> Transported:
         lit, states, couplings = self._each(tokens, self.iterations + self.training)
-        divergence_from_rays = divergence(couplings, tokens.cells) if self.training else None
+        divergence_from_rays = divergence(couplings, tokens.unlit_cells) if self.training else None
         return Transported(self._as_far_as_the_images(lit, tokens.bounces), states[1:], divergence_from_rays)
 
     def _as_far_as_the_images(self, lit: list[SceneTokens], bounces: tuple[int | None, ...]) -> SceneTokens:
@@ -73,10 +73,10 @@ class LinearTransport(nn.Module):
         counts = [self.iterations if n is None else min(self.iterations, max(n - 1, 0)) for n in bounces]
         if all(count == self.iterations for count in counts):
             return lit[self.iterations]
-        cells = lit[0].cells
+        cells = lit[0].lit_cells
         taken = on_device(np.repeat(counts, cells.cells.scenes.lengths), cells.first.device)
         row = torch.arange(len(taken), device=taken.device)
-        now, before = (torch.stack([getattr(one.cells, name) for one in lit])[taken, row] for name in _LIGHT)
+        now, before = (torch.stack([getattr(one.lit_cells, name) for one in lit])[taken, row] for name in _LIGHT)
         return replace(lit[0], cells=replace(cells, arriving=now, before=before))
 
     def each(self, tokens: SceneTokens, count: int) -> tuple[list[SceneTokens], TransportStates]:
@@ -87,7 +87,7 @@ class LinearTransport(nn.Module):
     def _each(
         self, tokens: SceneTokens, count: int
     ) -> tuple[list[SceneTokens], tuple[Float[Tensor, "c 3"], ...], Float[Tensor, "b longest longest"]]:
-        tokens, cells = told_apart(self.encoder(told_apart(tokens)).tokens), tokens.cells
+        tokens, cells = told_apart(self.encoder(told_apart(tokens)).tokens), tokens.unlit_cells
         features = self.cell_features(tokens, cells)
         with in_float32(features):
             reflectance, couplings, bounce = self._operator(features.float(), cells)
@@ -148,4 +148,5 @@ class CellFeatures(nn.Module):
         material = [cells.diffuse, cells.specular, cells.roughness[:, None]]
         place = self.place(torch.cat([within / self.REACH, cells.normal, size, *material], dim=-1))
         x = tokens.features[cells.octant] + place
-        return self.out_norm(x + self.feed_forward(self.norm(x)))
+        features: Tensor = self.out_norm(x + self.feed_forward(self.norm(x)))
+        return features

@@ -48,7 +48,8 @@ class RayBundleEmbedding(nn.Module):
             raise ValueError(f"{width}×{height} pixels do not divide into patches of {self.patch_size}")
         pixels = torch.cat([ray_directions(fov, height, width), gbuffer], dim=1)
         patches = F.pixel_unshuffle(pixels, self.patch_size).flatten(2).transpose(1, 2)  # [N, patches, (c row column)]
-        return self.token + self.norm(self.proj(patches))
+        tokens: Tensor = self.token + self.norm(self.proj(patches))
+        return tokens
 
 
 class CameraOrigin:

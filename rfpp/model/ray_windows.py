@@ -43,5 +43,5 @@ class ShiftedWindows:
 
 def _windows(count: int, size: int, shift: int) -> np.ndarray:
     """[count] the window each position along an axis lies in."""
-    window = (np.arange(count) + (size - shift) % size) // size
-    return window - window[0]
+    window: np.ndarray = (np.arange(count) + (size - shift) % size) // size
+    return window - int(window[0])

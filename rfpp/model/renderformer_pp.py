@@ -11,8 +11,9 @@ from rfpp.batch import RaggedBatch
 from rfpp.imaging.radiance import log_encode
 from rfpp.model.exposure import MeanIrradianceExposure, UnitExposure
 from rfpp.model.initial_light import CellLight, EmittedLight, FirstBounce
+from rfpp.model.lit_cells import LitCells
 from rfpp.model.tokenizer import ObjectTokens, SceneTokens, TriangleTokens
-from rfpp.model.transport import Transport, TransportStates
+from rfpp.model.transport import IteratedTransport, Transport, TransportStates
 from rfpp.model.triangle_embedding import TexturePatchEmbedding, TriangleEmbedding
 from rfpp.model.view_decoder import ViewDecoder
 from rfpp.segments import Segments
@@ -80,7 +81,7 @@ class RenderFormerPP(nn.Module):
         scenes = self.encode(batch)
         log_radiance = self.view(scenes, batch.c2w, batch.fov, batch.gbuffer, supersampling)
         tokens, cells = scenes.tokens, scenes.tokens.cells
-        of_states = tokens.segments if cells is None else cells.cells.scenes
+        of_states = cells.cells.scenes if isinstance(cells, LitCells) else tokens.segments
         return Rendering(log_radiance, scenes.transport_states, tokens.segments, of_states, scenes.divergence)
 
     def encode(self, batch: RaggedBatch) -> EncodedScenes:
@@ -95,7 +96,8 @@ class RenderFormerPP(nn.Module):
 
     def tokens(self, batch: RaggedBatch) -> SceneTokens:
         """What a scene at its exposure is made of, with what it emits; see `source`."""
-        return self.tokenizer(self.embedding(batch), batch)
+        tokens: SceneTokens = self.tokenizer(self.embedding(batch), batch)
+        return tokens
 
     def transported(self, exposure: Float[Tensor, " b"], tokens: SceneTokens) -> EncodedScenes:
         """What `tokenize` made, after light has moved."""
@@ -113,7 +115,12 @@ class RenderFormerPP(nn.Module):
     def transported_each(
         self, exposure: Float[Tensor, " b"], tokens: SceneTokens, count: int
     ) -> tuple[list[EncodedScenes], TransportStates]:
-        """What `tokenize` made, after k = 0 … `count` applications; see `bounces`."""
+        """What `tokenize` made, after k = 0 … `count` applications; see `bounces`.
+
+        Raises ValueError if the network has no operator.
+        """
+        if not isinstance(self.transport, IteratedTransport):
+            raise ValueError("this network has no transport operator that could be applied again")
         after, bounces = self.transport.each(tokens, count)
         return [EncodedScenes(tokens, exposure, ()) for tokens in after], bounces
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import torch
 import torch.nn.functional as F
@@ -14,15 +14,17 @@ from rfpp.imaging.radiance import log_decode, log_encode
 
 @runtime_checkable
 class Shading(Protocol):
-    """What a decoder's maps mean.
+    """What a decoder's maps mean. Besides them, each decoder hands its own kind of shading what else that reads."""
 
-    Attributes:
-        maps: how many the head gives.
-        channels: what is needed of the G-buffer, in order.
-    """
+    @property
+    def maps(self) -> int:
+        """How many the head gives."""
 
-    maps: int
-    channels: tuple[str, ...]
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """What is needed of the G-buffer, in order."""
+
+    def __call__(self, maps: Tensor, *others: Any) -> Tensor: ...
 
 
 class LogRadiance:
@@ -99,12 +101,12 @@ class _ELU(torch.autograd.Function):
     ALPHA = 1e-3
 
     @staticmethod
-    def forward(ctx, x: Tensor) -> Tensor:
+    def forward(ctx: Any, x: Tensor) -> Tensor:
         ctx.save_for_backward(x)
         return F.elu(x, alpha=_ELU.ALPHA)
 
     @staticmethod
-    def backward(ctx, grad: Tensor) -> Tensor:
+    def backward(ctx: Any, grad: Tensor) -> Tensor:
         (x,) = ctx.saved_tensors
         slope = torch.where((x > 0) | (grad < 0), 1.0, _ELU.ALPHA * x.clamp(max=0).exp())
         return grad * slope

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
 import torch
 from jaxtyping import Bool, Float
@@ -25,7 +26,7 @@ class TiledAttention(torch.autograd.Function):
 
     @staticmethod
     def forward(
-        ctx,
+        ctx: Any,
         q: Float[Tensor, "n queries d"],
         k: Float[Tensor, "n keys d"],
         v: Float[Tensor, "n keys d"],
@@ -41,7 +42,7 @@ class TiledAttention(torch.autograd.Function):
 
     @staticmethod
     @once_differentiable
-    def backward(ctx, grad: Tensor):
+    def backward(ctx: Any, grad: Tensor) -> tuple[Tensor, Tensor, Tensor, None]:
         q, k, v, real = ctx.saved_tensors
         grad_q, grad_k, grad_v = torch.empty_like(q), torch.empty_like(k), torch.empty_like(v)
         for heads, tiles in _tiles(q, k):
@@ -58,7 +59,7 @@ class TiledAttention(torch.autograd.Function):
 
 
 def _weights(q: Tensor, k: Tensor, real: Tensor | None, heads: slice, rows: slice) -> Float[Tensor, "heads rows keys"]:
-    scores = q[heads, rows] @ k[heads].transpose(-1, -2)
+    scores: Tensor = q[heads, rows] @ k[heads].transpose(-1, -2)
     if real is not None:
         scores.masked_fill_(~real[heads], float("-inf"))
     return scores.softmax(dim=-1)

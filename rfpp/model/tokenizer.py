@@ -40,6 +40,20 @@ class SceneTokens:
     cells: PackedCells | LitCells | None = None
     bounces: tuple[int | None, ...] = ()
 
+    @property
+    def unlit_cells(self) -> PackedCells:
+        """`cells` before light has moved. Raises ValueError if there are none."""
+        if not isinstance(self.cells, PackedCells):
+            raise ValueError("light is to move between cells, but these tokens have none: see `CellLight`")
+        return self.cells
+
+    @property
+    def lit_cells(self) -> LitCells:
+        """`cells` after light has moved. Raises ValueError if there are none."""
+        if not isinstance(self.cells, LitCells):
+            raise ValueError("light is to be gathered from cells, but none are lit: see `LinearTransport`")
+        return self.cells
+
     @classmethod
     def joined(cls, parts: Sequence[SceneTokens], objects: Sequence[int]) -> SceneTokens:
         """Tokens of objects, one after another, as those of scenes of so many `objects`."""
@@ -53,7 +67,7 @@ class SceneTokens:
         """The tokens of each of so many objects, in memory of their own."""
         parts = zip(*(x.chunk(objects) for x in (self.features, self.points, self.log_light)), strict=True)
         segments = Segments.from_lengths([len(self.features) // objects], self.features.device)
-        return [SceneTokens(*(piece.clone() for piece in part), segments) for part in parts]
+        return [SceneTokens(f.clone(), p.clone(), light.clone(), segments) for f, p, light in parts]
 
 
 class TriangleTokens(nn.Module):

@@ -46,8 +46,6 @@ class TransportStates(NamedTuple):
 class Transport(Protocol):
     """From scene tokens to scene tokens that know of global illumination.
 
-    Those with an operator also have `each`, see `PhysicsInformedTransport`.
-
     Attributes:
         iterations: how often the operator is applied; 0 where there is none.
     """
@@ -55,6 +53,14 @@ class Transport(Protocol):
     iterations: int
 
     def __call__(self, tokens: SceneTokens) -> Transported: ...
+
+
+@runtime_checkable
+class IteratedTransport(Transport, Protocol):
+    """One with an operator, which can be applied any number of times."""
+
+    def each(self, tokens: SceneTokens, count: int) -> tuple[list[SceneTokens], TransportStates]:
+        """The tokens after k = 0 … `count` applications; see `PhysicsInformedTransport`."""
 
 
 class UnconstrainedTransport(nn.Module):
@@ -85,7 +91,8 @@ class EncodedTransport(nn.Module):
         self.encoder, self.transport = encoder, transport
 
     def forward(self, tokens: SceneTokens) -> Transported:
-        return self.transport(self.encoder(tokens).tokens)
+        transported: Transported = self.transport(self.encoder(tokens).tokens)
+        return transported
 
     @property
     def iterations(self) -> int:
@@ -135,14 +142,15 @@ class TransportOperator(nn.Module):
     def __init__(self, width: int, heads: int, hidden: int, layers: int):
         super().__init__()
         self.blocks = nn.ModuleList(SelfBlock(width, heads, hidden) for _ in range(layers))
-        self.norm = UnitRMS()
+        self.norm: nn.Module = UnitRMS()
 
     def forward(
         self, features: Float[Tensor, "n width"], pattern: AttentionPattern, rotation: Rotation
     ) -> Float[Tensor, "n width"]:
         for block in self.blocks:
             features = block(features, pattern, rotation)
-        return self.norm(features)
+        moved: Tensor = self.norm(features)
+        return moved
 
 
 class PhysicsInformedTransport(nn.Module):

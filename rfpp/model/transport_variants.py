@@ -31,7 +31,8 @@ class DifferenceOperator(TransportOperator):
         moved = features
         for block in self.blocks:
             moved = block(moved, pattern, rotation)
-        return self.norm(moved - features)
+        difference: Tensor = self.norm(moved - features)
+        return difference
 
 
 class UnscaledTransport(PhysicsInformedTransport):

@@ -37,7 +37,8 @@ class TriangleEmbedding(nn.Module):
             raise UserError(f"{batch.keys[0]}: textured triangles, but this network knows one material per triangle")
         material = self.material_proj(torch.cat([batch.material[:, :7], self._emission(batch)], dim=-1))
         normals = self.normal_proj(self.normal_encoding(batch.normals.flatten(1)))
-        return self.token + self.material_norm(material) + self.normal_norm(normals)
+        tokens: Tensor = self.token + self.material_norm(material) + self.normal_norm(normals)
+        return tokens
 
     def _emission(self, batch: RaggedBatch) -> Float[Tensor, "m 3"]:
         return batch.log_emission
@@ -63,6 +64,9 @@ class TexturePatchEmbedding(nn.Module):
         patch_size: P, cells along a patch's side.
     """
 
+    flat_normal: Tensor
+    covered: Tensor
+
     def __init__(self, width: int, normal_frequencies: int, patch_size: int):
         super().__init__()
         self.token = nn.Parameter(torch.empty(width).normal_(std=0.02))
@@ -77,7 +81,8 @@ class TexturePatchEmbedding(nn.Module):
     def forward(self, batch: RaggedBatch) -> Float[Tensor, "m width"]:
         texture = self._constant(batch) if batch.texture is None else self._varying(batch.texture)
         normals = self.normal_proj(self.normal_encoding(batch.normals.flatten(1)))
-        return self.token + self.texture_norm(texture) + self.normal_norm(normals)
+        tokens: Tensor = self.token + self.texture_norm(texture) + self.normal_norm(normals)
+        return tokens
 
     def _constant(self, batch: RaggedBatch) -> Float[Tensor, "m width"]:
         cells = self.texture_proj.weight.unflatten(1, (TEXTURE_CHANNELS, *self.covered.shape))
@@ -88,4 +93,5 @@ class TexturePatchEmbedding(nn.Module):
 
     def _varying(self, texture: Float[Tensor, "m 13 p p"]) -> Float[Tensor, "m width"]:
         encoded = torch.cat([texture[:, :10], log_encode(texture[:, 10:])], dim=1)
-        return self.texture_proj(encoded.flatten(1))
+        projected: Tensor = self.texture_proj(encoded.flatten(1))
+        return projected

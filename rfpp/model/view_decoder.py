@@ -100,7 +100,7 @@ class ViewDecoder(nn.Module):
         of_rays = of_pixels.pooled(stride)
         rays = self.rays(fov.flatten(), of_rays(self.rays.gbuffer_channels))  # [B V, patches, D]
         patches = rays.shape[1]
-        grid = tuple(side // self.rays.patch_size for side in coarse)
+        grid = (coarse[0] // self.rays.patch_size, coarse[1] // self.rays.patch_size)
         in_view = Segments.from_lengths([patches] * (batch * views), rays.device)
         seen = SeenTokens.by(scene, c2w)
 
@@ -182,7 +182,8 @@ class DecoderBlock(nn.Module):
         keys, values = rotate(keys.index_select(0, rows), seen_rotation), values.index_select(0, rows)
         x = x + self.cross_attention(self.query_norm(x), keys, values, to_scene, ray_rotation)
         x = x + self.self_attention(self.self_attention_norm(x), among_rays, ray_rotation)
-        return x + self.feed_forward(self.feed_forward_norm(x))
+        out: Tensor = x + self.feed_forward(self.feed_forward_norm(x))
+        return out
 
 
 @dataclass(frozen=True)
