@@ -2,6 +2,7 @@
 
 import json
 import pickle
+import re
 import tarfile
 from pathlib import Path
 
@@ -33,6 +34,22 @@ def test_plain_webdataset_reads_the_same_samples(finished):
     for i in range(len(ours)):
         np.testing.assert_array_equal(plain[ours.key(i)].images, ours[i].images)
         np.testing.assert_array_equal(plain[ours.key(i)].gbuffers[1].depth, ours[i].gbuffers[1].depth)
+
+
+def test_the_documented_recipe_reads_the_same_images_without_this_project(finished):
+    page = Path(__file__).parents[2] / "docs" / "data.md"
+    (recipe,) = re.findall(r"```python\n(.+?)```", page.read_text(encoding="utf-8"), re.DOTALL)
+    assert "rfpp" not in recipe
+    (pattern,) = re.findall(r'"(data/shards/\S+)"', recipe)
+    tars = sorted(str(path) for path in finished.root.glob("train-*.tar"))
+    names = {}
+    exec(recipe.replace(f'"{pattern}"', repr(tars)), names)
+    read = {scene["key"]: scene for scene in names["scenes"]}
+    ours = ShardSplit(finished.root, "train")
+    assert read.keys() == {ours.key(i) for i in range(len(ours))}
+    for i in range(len(ours)):
+        np.testing.assert_array_equal(read[ours.key(i)]["image"], ours[i].images[0])
+        np.testing.assert_array_equal(read[ours.key(i)]["positions"], ours[i].triangles.positions)
 
 
 def test_tars_are_plain_and_carry_no_clock_or_owner(finished):
