@@ -32,7 +32,7 @@ def results_folder(checkpoint: str, info: CheckpointInfo, data: str) -> Path:
 
 
 def run_folder(checkpoint: str) -> Path:
-    """Of the training that made a checkpoint.
+    """The folder of the training run that wrote a checkpoint.
 
     A released network (a folder, or a name on a hub) is of no run here and gets a folder of its own among them.
     """
@@ -41,7 +41,7 @@ def run_folder(checkpoint: str) -> Path:
 
 
 def log_to_training_run(info: CheckpointInfo, evaluation: Evaluation, files: Sequence[Path]) -> str:
-    """Add what was measured and files to the run that made the checkpoint; returns a line about it.
+    """Log metrics and files to the training run of the checkpoint; returns a status line.
 
     On a data set that it was not trained on, metrics begin with `<data>/`, and files are in `evaluation_<data>/`.
 

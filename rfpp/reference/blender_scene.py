@@ -15,7 +15,7 @@ from rfpp.scene.triangles import DIFFUSE, EMISSION, ROUGHNESS, SPECULAR, SceneTr
 
 
 def add_geometry(bpy: ModuleType, triangles: SceneTriangles) -> None:
-    """Put every scene object into Blender's scene; where only some triangles emit, as one object for each kind.
+    """Add every object to Blender's scene; objects of which only some triangles emit are split in two.
 
     Raises:
         SceneError: a triangle without area or with coordinates that are not finite, naming its object.
@@ -33,7 +33,7 @@ def add_geometry(bpy: ModuleType, triangles: SceneTriangles) -> None:
 
 
 def _check_geometry(triangles: SceneTriangles) -> None:
-    """Refuse what makes Blender crash or render nonsense."""
+    """Reject geometry that makes Blender crash or render incorrectly."""
     edges = triangles.positions[:, 1:] - triangles.positions[:, :1]
     area = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=-1)
     sound = np.isfinite(triangles.positions).all((1, 2)) & np.isfinite(triangles.normals).all((1, 2)) & (area > 0)

@@ -48,7 +48,7 @@ _SYSTEM_LIBRARIES = "libxrender1 libxfixes3 libxi6 libxkbcommon0 libsm6 libgl1"
 
 @dataclass(frozen=True)
 class CyclesSettings:
-    """Every choice that changes a reference image. Values live in conf/reference/*.yaml.
+    """All settings that affect a reference image. Values are in conf/reference/*.yaml.
 
     Attributes:
         samples: paths per pixel, at most.
@@ -128,7 +128,7 @@ def render_passes(
     settings: CyclesSettings,
     passes: Sequence[str],
 ) -> dict[str, np.ndarray]:
-    """Several of Cycles' passes (see `PASSES`) of every view, in one go: [V, H, W, 3], or [V, H, W] for scalars.
+    """Render several Cycles passes (see `PASSES`) of every view: [V, H, W, 3], or [V, H, W] for scalars.
 
     Only "combined" is denoised. Depth is along the camera's -Z axis (1e10 where nothing is hit), normals are in
     world space, an object's index is its place in the scene plus one (0 where nothing is hit). Raises like `render`.
@@ -146,7 +146,7 @@ def render_passes(
 
 
 def _configure(scene, settings: CyclesSettings, height: int, width: int) -> None:
-    """Write every setting that matters, so that no default of Blender's decides anything."""
+    """Set everything that affects the image, so that results do not depend on Blender's defaults."""
     scene.render.engine = "CYCLES"
     scene.render.resolution_x, scene.render.resolution_y, scene.render.resolution_percentage = width, height, 100
     scene.render.threads_mode = "FIXED" if settings.threads else "AUTO"
@@ -220,7 +220,7 @@ def _pass(layers: dict[str, np.ndarray], name: str, channels: str) -> np.ndarray
 
 
 def _empty_scene(bpy: ModuleType):
-    """Blender's scene with nothing in it, not even what an earlier call left."""
+    """Blender's scene, cleared of the data of earlier calls."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     shutil.rmtree(bpy.app.tempdir, ignore_errors=True)  # never used here, and a worker's exit would leave it behind
     return bpy.context.scene
@@ -228,7 +228,7 @@ def _empty_scene(bpy: ModuleType):
 
 @contextmanager
 def _memory_folder() -> Iterator[Path]:
-    """A temporary folder, in memory where the system has that."""
+    """A temporary folder, in memory if the system supports it."""
     parent = "/dev/shm" if os.access("/dev/shm", os.W_OK) else None
     with tempfile.TemporaryDirectory(prefix="rfpp_cycles_", dir=parent) as folder:
         yield Path(folder)
@@ -236,7 +236,7 @@ def _memory_folder() -> Iterator[Path]:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Hide Blender's chatter, which goes to file descriptor 1 past Python's `sys.stdout`."""
+    """Suppress Blender's output, which is written to file descriptor 1 and bypasses `sys.stdout`."""
     sys.stdout.flush()
     kept, silence = os.dup(1), os.open(os.devnull, os.O_WRONLY)
     try:

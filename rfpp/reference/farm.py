@@ -91,7 +91,7 @@ class RenderFarm:
 
 
 def _stop(slots: list[Slot]) -> None:
-    """Tell all first, so that they end at the same time."""
+    """Stop workers in parallel: notify all, then wait."""
     for slot in slots:
         slot.dismiss()
     for slot in slots:

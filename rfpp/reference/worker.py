@@ -19,16 +19,16 @@ import psutil
 
 
 class WorkerDeathError(RuntimeError):
-    """A worker process ended in the middle of a job (crash, or killed for want of memory)."""
+    """A worker process died during a job (crash or out of memory)."""
 
 
 class WorkerHangError(RuntimeError):
-    """A job took longer than it may, and its worker was killed."""
+    """A job exceeded its time limit, and its worker was killed."""
 
 
 @dataclass(frozen=True)
 class Limits:
-    """What a worker may use: jobs, megabytes more than after its first job, seconds per job."""
+    """Limits of a worker: number of jobs, memory growth since its first job in MB, seconds per job."""
 
     jobs: int
     growth_mb: float | int
@@ -37,7 +37,7 @@ class Limits:
 
 @dataclass(frozen=True)
 class Task:
-    """An item for the so many-th time."""
+    """An item and the number of its attempt."""
 
     item: Any
     attempt: int = 1
@@ -66,7 +66,7 @@ class Slot:
             self.connection.close()
 
     def finish(self, limits: Limits) -> tuple[Task, Any]:
-        """The task in work and its result; replaces the worker when it died, hangs or has done its share."""
+        """The current task and its result; replaces the worker if it died, hangs or has reached its limits."""
         if self.connection.closed or self.connection.poll():
             result = self._received()
         else:
@@ -97,7 +97,7 @@ class Slot:
         return self.jobs_done >= limits.jobs or memory - self.first_memory > limits.growth_mb * 1e6
 
     def dismiss(self) -> None:
-        """Tell the worker to end; an idle one leaves by itself when it finds the connection closed."""
+        """Ask the worker to exit; an idle worker exits when the connection closes."""
         if self.process is not None:
             self.connection.close()
             if self.task is not None:
@@ -124,7 +124,7 @@ class Slot:
 
 
 def _serve(connection: Connection) -> None:
-    """A worker's life: take (job, item), answer with the result, until the other end closes."""
+    """Worker loop: receive (job, item), send the result, until the connection closes."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group; only the parent decides
     signal.signal(signal.SIGTERM, _leave)
     while True:
@@ -144,7 +144,7 @@ def _serve(connection: Connection) -> None:
 
 
 def _leave(*_: object) -> None:
-    """Unwind, so that temporary files are removed, and say nothing more.
+    """Exit silently, with stack unwinding, so that temporary files are removed.
 
     Blender, torn down in the middle of a picture, complains of every block of memory.
     """

@@ -18,7 +18,7 @@ EMPTY, UNLIT = "empty_views", "unlit_views"
 
 @dataclass(frozen=True)
 class Acceptance:
-    """Which views are good enough, judged from a small G-buffer with direct light and its shadows.
+    """Criteria for views, checked on a small G-buffer with direct light and shadows.
 
     Attributes:
         resolution: pixels of that G-buffer.
@@ -49,7 +49,7 @@ class Acceptance:
     def cameras(
         self, rays: SceneRays, draw: Callable[[int], tuple[Camera, ...]], refused: Counter[str]
     ) -> tuple[Camera, ...] | None:
-        """The first good one of each camera's draws, or None if one has none.
+        """The first accepted draw of each camera, or None if a camera has none.
 
         Args:
             draw: all cameras of the so many-th attempt.

@@ -15,7 +15,7 @@ from rfpp.errors import UserError
 
 @dataclass(frozen=True)
 class ShardCache:
-    """Keeps what was used last. Files are named by their content, so that they are never out of date.
+    """Least-recently-used cache. Files are named by their content hash, so entries never become stale.
 
     Whoever has a file open keeps reading it when it is removed here: its space is freed when the last one closes it.
 
@@ -28,7 +28,7 @@ class ShardCache:
     gigabytes: int | float
 
     def open(self, name: str, size: int, fetch: Callable[[Path], None]) -> int:
-        """A file descriptor of the file `name`, which `fetch` writes to the path it is given if it is not here.
+        """A file descriptor of the file `name`; if it is not cached, `fetch` writes it to a given path.
 
         Of several processes that want a file one fetches it.
 
@@ -75,7 +75,7 @@ class ShardCache:
 
 
 def _open_whole(path: Path, size: int) -> int | None:
-    """A descriptor of the file if it is there in full; it counts as used."""
+    """A descriptor of the file if it is cached completely; marks it as used."""
     try:
         descriptor = os.open(path, os.O_RDONLY)
     except FileNotFoundError:

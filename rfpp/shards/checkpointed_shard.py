@@ -22,7 +22,7 @@ FOLDER = "unfinished"
 
 @dataclass(frozen=True)
 class SampleFolder:
-    """Where the samples of one shard wait for each other; picklable.
+    """Folder of the finished samples of an incomplete shard; picklable.
 
     Each is written by the worker that made it, whole or not at all: whatever is killed, and whenever, only scenes
     in the making are lost.
@@ -32,14 +32,14 @@ class SampleFolder:
     fingerprint: str
 
     def write(self, key: str, made: MadeScene) -> None:
-        """Keep a sample. Raises UserError (full disk)."""
+        """Store a sample. Raises UserError (full disk)."""
         counts = {name: value for name, value in asdict(made).items() if name != "blocks"}
         head = {"counts": counts, "sha256": hashlib.sha256(made.blocks).hexdigest(), "settings": self.fingerprint}
         write_atomically(self._file(key), to_json(head) + made.blocks)
         self._failure_file(key).unlink(missing_ok=True)
 
     def read(self, key: str) -> MadeScene | None:
-        """A waiting sample; None if there is none, or if a crash of the machine left half of it.
+        """A stored sample; None if it is missing or was truncated by a machine crash.
 
         Raises:
             ShardError: it was made with other settings.
@@ -56,21 +56,21 @@ class SampleFolder:
         return MadeScene(blocks, **head["counts"])
 
     def remove(self, key: str) -> None:
-        """Forget a sample, and the folder with the last one."""
+        """Delete a sample, and the folder with the last one."""
         self._file(key).unlink(missing_ok=True)
         for folder in (self.path, self.path.parent):
             with suppress(OSError):  # not empty
                 folder.rmdir()
 
     def write_failure(self, key: str, error: Exception) -> Path:
-        """Keep what is known of a scene that could not be made; returns the file."""
+        """Record the failure of a scene; returns the file."""
         traceback = "\n".join(getattr(error, "__notes__", []))
         path = self._failure_file(key)
         write_json(path, {"key": key, "error": f"{type(error).__name__}: {error}", "traceback": traceback})
         return path
 
     def read_failure(self, key: str) -> str | None:
-        """What went wrong, if the scene failed when it was last tried."""
+        """The error of the scene's last attempt, if it failed."""
         try:
             return json.loads(self._failure_file(key).read_bytes())["error"]
         except FileNotFoundError:
@@ -85,7 +85,7 @@ class SampleFolder:
 
 @dataclass(frozen=True)
 class UnfinishedShard:
-    """One shard that lacks samples, or has them waiting."""
+    """A shard whose samples are missing or not yet assembled."""
 
     root: Path
     shard: PlannedShard
@@ -109,12 +109,12 @@ class UnfinishedShard:
         return [t for t in self.shard.tasks if t.key not in entries and self.folder.read(t.key) is None]
 
     def failures(self) -> dict[str, str]:
-        """Key → what went wrong, of the scenes that failed when they were last tried."""
+        """Key → error of the scenes whose last attempt failed."""
         errors = {task.key: self.folder.read_failure(task.key) for task in self.shard.tasks}
         return {key: error for key, error in errors.items() if error is not None}
 
     def assemble(self) -> ShardIndex:
-        """Write the shard from its samples, put it in place, and clear the folder.
+        """Write the shard from its samples, move it into place, and clear the folder.
 
         Raises:
             UserError: the disk is full; nothing is lost.
@@ -137,7 +137,7 @@ class UnfinishedShard:
         return {entry.key: entry for entry in present.samples} if present else {}
 
     def _copy(self, entry: SampleEntry) -> MadeScene:
-        """A sample out of the smaller shard that is to be replaced."""
+        """Copy a sample from the smaller shard that is being replaced."""
         present = self.shard.present(self.root, self.fingerprint)
         with (self.root / self.shard.file).open("rb") as file:
             blocks = present.blocks(self.root, file.fileno(), entry)
@@ -147,7 +147,7 @@ class UnfinishedShard:
 
 @dataclass(frozen=True)
 class KeptJob:
-    """Makes a sample and keeps it where its shard's samples wait; picklable."""
+    """Makes a sample and stores it in its shard's sample folder; picklable."""
 
     job: Callable[[SceneTask], MadeScene]
 

@@ -66,7 +66,7 @@ class ShardSplit(Dataset):
     def read(
         self, index: int, choose: ViewChoice | None = None, channels: Collection[str] = tuple(CHANNELS)
     ) -> SceneSample:
-        """The scene, or of it what is asked for (see `rfpp.shards.sample.decode`)."""
+        """The scene, or the requested parts of it (see `rfpp.shards.sample.decode`)."""
         shard, position = self._locate(index)
         opened, descriptor = self._opened(shard)
         entry = opened.samples[position]
@@ -78,14 +78,14 @@ class ShardSplit(Dataset):
         return self._opened(shard)[0].samples[position].key
 
     def triangles(self, index: int) -> int:
-        """Of a scene, from the index of its shard alone, which is read once."""
+        """Number of triangles of a scene, from the shard's index, which is read once."""
         shard, position = self._locate(index)
         if shard.file not in self._triangles:
             self._triangles[shard.file] = [entry.triangles for entry in self.manifest.index(shard).samples]
         return self._triangles[shard.file][position]
 
     def bounces(self, index: int) -> int | None:
-        """After so many the light of a scene's images ends (Cycles' `max_bounces`); None where that is not said."""
+        """Bounces in a scene's images (Cycles' `max_bounces`); None if not stated."""
         reference = self.manifest.settings.get("reference")
         return reference.get("max_bounces") if isinstance(reference, dict) else None
 
@@ -110,7 +110,7 @@ class ShardSplit(Dataset):
         return self._shards[number], index - first
 
     def _opened(self, shard: ListedShard) -> tuple[ShardIndex, int]:
-        """Its index and a file descriptor of its tar."""
+        """The index of a shard and a file descriptor of its tar."""
         if shard.file in self._open:
             self._open.move_to_end(shard.file)
             return self._open[shard.file]
@@ -121,7 +121,7 @@ class ShardSplit(Dataset):
 
 
 def find_sample(root: str | Path, key: str) -> SceneSample:
-    """The sample of that key, e.g. "train-000012". Raises ShardError naming what there is."""
+    """The sample with this key, e.g. "train-000012". Raises ShardError listing the available ones."""
     split, _, number = key.rpartition("-")
     manifest = Manifest.load(root)
     counts = {name: sum(shard.samples for shard in manifest.shards(name)) for name in manifest.splits}

@@ -37,7 +37,7 @@ def export(sample: SceneSample, format: str, folder: Path) -> list[Path]:
 
 
 def export_renderformer(sample: SceneSample, folder: Path) -> list[Path]:
-    """RenderFormer JSON v1.0 with a mesh per object, and the images of `export_exr`, also as PNG.
+    """Write RenderFormer JSON v1.0 with one mesh per object, and the images of `export_exr`, also as PNG.
 
     `load_scene` gives back positions and materials exactly and cameras to float32. Of normals the format says only
     whether an object is smooth: whichever of flat and smooth is nearer to the sample's is written, which for generated
@@ -53,7 +53,7 @@ def export_renderformer(sample: SceneSample, folder: Path) -> list[Path]:
 
 
 def export_h5(sample: SceneSample, folder: Path) -> list[Path]:
-    """RenderFormer's H5 as its training reads it (`rfpp.scene.io.renderformer_h5`); materials and images in half.
+    """Write RenderFormer's H5 training format (`rfpp.scene.io.renderformer_h5`); materials and images in half.
 
     Its G-buffers follow as `gbuffer/<name>` [V, H, W] or [V, H, W, 3] in the names, types and units of the sample's
     EXR files, but `gbuffer/triangle` counts from 0 and is -1 where nothing is hit.
@@ -73,7 +73,7 @@ def export_h5(sample: SceneSample, folder: Path) -> list[Path]:
 
 
 def export_exr(sample: SceneSample, folder: Path) -> list[Path]:
-    """A many-layered EXR per view, which shows the reference image: any HDR viewer opens it.
+    """Write a multi-layer EXR per view; HDR viewers show its reference image.
 
     Half precision, but float32 `depth` and `direct`. `triangle` and `object` count from 1, and 0 is nothing. `direct`
     is the radiance of the first bounce, the rest of the image came by more; other layers as in

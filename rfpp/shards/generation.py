@@ -22,7 +22,7 @@ from rfpp.shards.writer import write_json
 
 
 def make(recipe: Recipe, farm: RenderFarm, progress: Callable[[int, int], None], part: Slice = WHOLE) -> None:
-    """Make whatever is missing of one slice of a data set.
+    """Generate the missing samples of one slice of a data set.
 
     Finished shards and samples are left alone. A failing scene is tried twice, then kept with its traceback among
     the unfinished, and the rest goes on.
@@ -77,7 +77,7 @@ def _make(recipe: Recipe, farm: RenderFarm, progress: Callable[[int, int], None]
 
 
 def merge(recipe: Recipe) -> Manifest:
-    """Join the finished shards of all slices to a data set: write its manifest.
+    """Merge the finished shards of all slices into a data set by writing its manifest.
 
     Raises:
         ShardError: shards are missing, or were made with other settings.
@@ -101,14 +101,14 @@ def merge(recipe: Recipe) -> Manifest:
 
 
 def generate(recipe: Recipe, farm: RenderFarm, progress: Callable[[int, int], None]) -> Manifest:
-    """Make whatever is missing of a data set and write its manifest. Raises like `make`."""
+    """Generate the missing samples of a data set and write its manifest. Raises like `make`."""
     make(recipe, farm, progress)
     return merge(recipe)
 
 
 @contextmanager
 def _alone(recipe: Recipe, part: Slice) -> Iterator[None]:
-    """While this process makes a slice no other does; a killed one lets go by itself."""
+    """Lock a slice for this process; the lock is released when the process ends."""
     path = recipe.root / f".slice-{part.index}-of-{part.count}.lock"
     try:
         with FileLock(path, blocking=False):

@@ -20,7 +20,7 @@ REMEDY = "run launch/generate.py again with the same experiment"
 
 
 class SampleEntry(NamedTuple):
-    """Where one sample lies in its tar, what its bytes hash to, and what it holds.
+    """Position of a sample in its tar, its hash, and its contents.
 
     `scene_redraws` counts scenes that were drawn and rejected before this one, `empty_views` and `unlit_views`
     cameras, because they saw too little surface or too little light.
@@ -50,7 +50,7 @@ class Shard:
     fingerprint: str
 
     def __post_init__(self) -> None:
-        """Raises ValueError for what leads elsewhere: indices and manifests come from other machines."""
+        """Raises ValueError for paths outside the data set: indices and manifests may be untrusted."""
         if not (is_plain_name(self.file) and self.file.endswith(".tar")):
             raise ValueError(f"{self.file!r} is not the name of a shard")
         require_hash(self.sha256)
@@ -99,7 +99,7 @@ class Shard:
         return f"delete {self.file} and {self.index_file}, and {REMEDY}"
 
     def remedy_at(self, root: Path | str) -> str:
-        """What to do about a shard that is damaged in the folder, or behind the URL, `root`."""
+        """How to fix a damaged shard in the folder or at the URL `root`."""
         if isinstance(root, Path):
             return self.remedy
         return (
@@ -168,7 +168,7 @@ def require_hash(text: object) -> None:
 
 
 def require_count(*numbers: object) -> None:
-    """Raises ValueError for what cannot be a size or a number of things."""
+    """Raises ValueError unless it is a non-negative integer."""
     for number in numbers:
         if type(number) is not int or not 0 <= number < 2**63:
             raise ValueError(f"{number!r} is not a number of bytes or things")

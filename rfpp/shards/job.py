@@ -40,7 +40,7 @@ class SceneSource(Protocol):
 
 @dataclass(frozen=True)
 class DatasetSettings:
-    """What to make and where. Values live in conf/data/*.yaml.
+    """What to generate, and where. Values are in conf/data/*.yaml.
 
     Attributes:
         name: of the data set.
@@ -81,7 +81,7 @@ class DatasetSettings:
             raise UserError("data.splits.train_newviews is larger than data.splits.train, whose scenes it shows")
 
     def content(self) -> dict[str, Any]:
-        """What the samples depend on: neither the place nor the amount."""
+        """The settings that samples depend on, without location and number of samples."""
         values = dataclasses.asdict(self)
         return {name: value for name, value in values.items() if name not in ("name", "root", "splits")}
 
@@ -136,7 +136,7 @@ class SceneJob:
     render: Callable[..., np.ndarray]
 
     def __call__(self, task: SceneTask) -> MadeScene:
-        """Draw until the views are good, then render. Raises SceneError when the attempts run out."""
+        """Draw until all views are accepted, then render. Raises SceneError after too many attempts."""
         refused: Counter[str] = Counter()
         attempt, rays, cameras = self._accepted(
             task, task.scene_split, range(self.data.acceptance.scene_attempts), refused
@@ -164,7 +164,7 @@ class SceneJob:
     def _accepted(
         self, task: SceneTask, split: str, attempts: Iterable[int], refused: Counter[str]
     ) -> tuple[int, SceneRays, tuple[Camera, ...]]:
-        """The first of these draws of the scene whose views, as `split` shows them, are all good, and those views."""
+        """The first draw of the scene whose views for `split` are all accepted, and these views."""
         for attempt in attempts:
             rngs = self._rngs(task, split, attempt, camera_attempt=0)
             rays = SceneRays(SceneTriangles.from_scene(self.family.sample(*rngs, held_out=task.scene_split == "test")))

@@ -23,7 +23,7 @@ Root = str | Path
 
 
 class JoinedSplit(Dataset):
-    """The scenes of one split of several data sets, one after the other; methods are those of `ShardSplit`."""
+    """One split of several data sets, concatenated, with the interface of `ShardSplit`."""
 
     def __init__(self, parts: Sequence[ShardSplit]):
         self._parts = tuple(parts)
@@ -66,7 +66,7 @@ class JoinedSplit(Dataset):
 
 @dataclass(frozen=True)
 class JoinedManifest:
-    """What several data sets are together, as `Manifest` says it of one.
+    """The combined manifest of several data sets.
 
     Attributes:
         root, name: of all, with commas and plus signs between.
@@ -99,14 +99,14 @@ class JoinedManifest:
 def open_split(
     roots: Root | Sequence[Root], split: str, cache: ShardCache | None = None, require_all: bool = True
 ) -> ShardSplit | JoinedSplit:
-    """A split of one data set or of several; one that is named twice counts twice. Errors are `ShardSplit`'s."""
+    """A split of one or several data sets; a data set listed twice counts twice. Raises like `ShardSplit`."""
     if isinstance(roots, Root):
         return ShardSplit(roots, split, cache, require_all)
     return JoinedSplit([ShardSplit(root, split, cache, require_all) for root in roots])
 
 
 def open_manifest(roots: Root | Sequence[Root], cache: ShardCache | None = None) -> Manifest | JoinedManifest:
-    """Of one data set or of several. Errors are `Manifest.load`'s and `JoinedManifest.of`'s."""
+    """The manifest of one data set or of several. Raises like `Manifest.load` and `JoinedManifest.of`."""
     if isinstance(roots, Root):
         return Manifest.load(roots, cache)
     return JoinedManifest.of([Manifest.load(root, cache) for root in roots])

@@ -23,7 +23,7 @@ _COUNTED = ("triangles", "scene_redraws", "empty_views", "unlit_views")
 
 
 class Manifest:
-    """A complete data set. Samples are listed in the shards' indices, which are read when they are asked for.
+    """A complete data set. Samples are listed in the shards' indices, which are read on demand.
 
     Attributes:
         store: where it lies.

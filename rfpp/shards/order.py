@@ -9,7 +9,7 @@ import numpy as np
 
 
 class ShuffledOrder:
-    """Every sample once per epoch, epoch after epoch; who reads, and with how many processes, has no part in it.
+    """Every sample once per epoch, in an order that is independent of the number of reading processes.
 
     Each epoch takes the shards in random order and shuffles the samples of `window` of them at a time, so that few
     files are open and a remote shard is fetched once per epoch. Going on from any position costs no more than
@@ -37,7 +37,7 @@ class ShuffledOrder:
         return int(self._ends[-1])
 
     def draws(self, start: int = 0) -> Iterator[tuple[int, int]]:
-        """(epoch, sample) without end, from the `start`-th on."""
+        """Infinite sequence of (epoch, sample), from the `start`-th on."""
         first_epoch, position = divmod(start, len(self))
         for epoch in count(first_epoch):
             for sample in self._epoch(epoch, position):
@@ -59,7 +59,7 @@ class ShuffledOrder:
 
 
 def leading(sizes: Sequence[int], samples: int) -> list[int]:
-    """The sizes of the shards that hold the first so many samples, the last one's cut to them."""
+    """The sizes of the shards with the first `count` samples, the last one truncated."""
     kept = []
     for size in sizes:
         if samples <= 0:

@@ -56,7 +56,7 @@ def sample_panel(sample: SceneSample) -> UInt8[np.ndarray, "h w 3"]:
 
 
 def contact_sheet(scenes: Iterable[Scene | PackedScene], resolution: int) -> UInt8[np.ndarray, "h w 3"]:
-    """Scenes as their first cameras see them, without a path tracer: direct light, shadows, a little from everywhere.
+    """First views of scenes without path tracing: direct light, shadows, and an ambient term.
 
     Args:
         scenes: each with a camera at least.
@@ -68,7 +68,7 @@ def contact_sheet(scenes: Iterable[Scene | PackedScene], resolution: int) -> UIn
 
 
 def with_ambient(gbuffer: GBuffer, ambient: float) -> GBuffer:
-    """The G-buffer with so much more light from everywhere."""
+    """The G-buffer with an ambient term added to its light."""
     return replace(gbuffer, light=DirectLight(gbuffer.light.diffuse + ambient, gbuffer.light.glossy + ambient))
 
 
@@ -81,7 +81,7 @@ def _preview(scene: PackedScene, resolution: int) -> UInt8[np.ndarray, "h w 3"]:
 def _wireframe(
     triangles: SceneTriangles, pose: np.ndarray, fov: SupportsFloat, height: int, width: int, caster: RayCaster
 ) -> UInt8[np.ndarray, "h w 3"]:
-    """Dark lines wherever neighbouring pixels see different triangles, over a shade that tells slopes apart."""
+    """Dark lines between pixels that see different triangles, over shading by normal."""
     enlarged = -(-_WIREFRAME // max(height, width))
     fine = enlarged * _SUPERSAMPLING
     seen = first_hit(triangles, pose, fov, height * fine, width * fine, caster)

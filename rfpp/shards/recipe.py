@@ -24,7 +24,7 @@ _SETTINGS_FILE = "settings.json"
 
 @dataclass(frozen=True)
 class Slice:
-    """Every `count`-th shard, from the `index`-th: what one job of an array makes.
+    """Every `count`-th shard, starting at `index`: the part made by one job of an array.
 
     Raises:
         UserError: the index is not below the count.
@@ -50,12 +50,12 @@ class PlannedShard:
     tasks: tuple[SceneTask, ...]
 
     def is_finished(self, root: Path, fingerprint: str) -> bool:
-        """Whether it is in place, whole. Raises ShardError if it was made with other settings."""
+        """Whether the shard is complete. Raises ShardError if it was made with other settings."""
         index = self.present(root, fingerprint)
         return index is not None and [entry.key for entry in index.samples] == [task.key for task in self.tasks]
 
     def present(self, root: Path, fingerprint: str) -> ShardIndex | None:
-        """What is in place, perhaps of fewer samples, or None. Raises ShardError if made with other settings."""
+        """The existing shard, possibly with fewer samples, or None. Raises ShardError if made with other settings."""
         index = load_index(root, self.file)
         if index is not None and index.fingerprint != fingerprint:
             raise other_settings(root, f"{self.file} was made with other settings")
@@ -121,7 +121,7 @@ class Recipe:
         return self.all_shards[part.index :: part.count]
 
     def task(self, key: str) -> SceneTask:
-        """The task of that key. Raises UserError naming what there is."""
+        """The task with this key. Raises UserError listing the available ones."""
         split, _, number = key.rpartition("-")
         if number.isdecimal() and int(number) < self.splits.get(split, 0):
             return SceneTask(split, int(number))
@@ -155,7 +155,7 @@ def fingerprint_of(settings: Mapping[str, Any]) -> str:
 
 
 def _as_begun(root: Path, settings: Mapping[str, Any]) -> Mapping[str, Any]:
-    """The settings that a data set was begun with, where these mean the same; else these, classes by their names alone.
+    """The stored settings if they are equivalent to these, else these, with classes by name.
 
     Where a class lies is not what it does: a data set outlives that its code is moved.
     """
@@ -179,7 +179,7 @@ def _without_modules(settings: Any) -> Any:
 
 
 def other_settings(root: Path, why: str) -> ShardError:
-    """The error to raise when a folder holds other data."""
+    """The error for a folder with other data."""
     return ShardError(
         f"{root}: holds data made with other settings ({why}): choose another data.name, or delete the folder"
     )

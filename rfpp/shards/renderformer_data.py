@@ -26,7 +26,7 @@ from rfpp.shards.scene_rays import SceneRays
 
 @dataclass(frozen=True)
 class Import:
-    """The *.h5 files of a folder and what they are for.
+    """The *.h5 files of a folder, by split.
 
     Attributes:
         folder: holds the files; they must agree in the number of views and in resolution.
@@ -67,7 +67,7 @@ class Import:
         return {split: tuple(sorted(part)) for split, part in parts.items()}
 
     def recipe(self, data: DatasetSettings) -> Recipe:
-        """The data set of these files, to be made, merged and so on like any other.
+        """The data set of these files, generated and merged like any other.
 
         Args:
             data: name, root, light_samples and scenes_per_shard; the files say the rest.

@@ -48,7 +48,7 @@ _IMAGE, _SURFACE, _LIGHT, _REFLECTION, _CELLS = (
 
 @dataclass(frozen=True, eq=False)
 class SceneSample:
-    """One scene, seen and lit.
+    """One scene with cameras, images and G-buffers.
 
     Attributes:
         key: unique in the data set, e.g. "train-000012".
@@ -120,7 +120,7 @@ def decode(
     choose: ViewChoice | None = None,
     channels: Collection[str] = tuple(CHANNELS),
 ) -> SceneSample:
-    """The inverse of `encode`, of all that is asked for.
+    """The inverse of `encode`, for the requested views and channels.
 
     Args:
         key: of the sample.
@@ -203,7 +203,7 @@ def _seen_cells(layers: Mapping[str, np.ndarray]) -> SeenCells:
 
 
 def _stored(name: str, of_cells: np.ndarray) -> np.ndarray:
-    """An array of `Cells`: where rays end in as few bytes as hold it, and they are most of all."""
+    """An array of `Cells` as stored; ray ends, which are most of the data, as 16-bit integers if they fit."""
     small = name in CELL_ENDS and len(of_cells) < np.iinfo(np.int16).max
     return np.ascontiguousarray(of_cells, dtype=np.int16 if small else of_cells.dtype)
 

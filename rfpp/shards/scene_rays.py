@@ -19,7 +19,7 @@ from rfpp.scene.triangles import SceneTriangles
 
 
 class SceneRays:
-    """What cameras can see of a scene, and its lights.
+    """Ray casting for one scene: G-buffers of its cameras, and light at its surfaces.
 
     Attributes:
         triangles: the whole scene.

@@ -41,12 +41,12 @@ class Status:
         return not any(split.missing for split in self.splits.values())
 
     def slices(self, count: int) -> tuple[int, ...]:
-        """Which of `count` slices have something left to make."""
+        """The unfinished ones of `count` slices."""
         return tuple(sorted({number % count for split in self.splits.values() for number in split.missing}))
 
 
 def status(recipe: Recipe) -> Status:
-    """Look at what is there; changes nothing.
+    """Read the status of a data set from its folder.
 
     Raises:
         ShardError: the folder holds data made with other settings.

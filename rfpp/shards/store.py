@@ -30,7 +30,7 @@ class FolderStore:
     root: Path
 
     def read(self, file: str) -> bytes:
-        """A small file that nothing is known of. Raises OSError."""
+        """Read a small file without a known size or hash. Raises OSError."""
         return (self.root / file).read_bytes()
 
     def open_tar(self, shard: ListedShard) -> int:
@@ -113,7 +113,7 @@ class RemoteStore:
 
 
 class _TruncatedError(Exception):
-    """A transfer ended early, or brought another file."""
+    """A download was truncated or delivered a different file."""
 
 
 Store = FolderStore | RemoteStore

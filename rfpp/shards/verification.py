@@ -18,7 +18,7 @@ from rfpp.shards.tar import END_OF_ARCHIVE
 
 
 def verify(root: Path, farm: RenderFarm, progress: Callable[[int, int], None]) -> list[str]:
-    """Everything that is wrong with a data set, a line each, in the order of its shards.
+    """All defects of a data set, one line each, in the order of its shards.
 
     Args:
         progress: called with (shards looked at, shards in all).
@@ -38,12 +38,12 @@ def verify(root: Path, farm: RenderFarm, progress: Callable[[int, int], None]) -
 
 @dataclass(frozen=True)
 class ShardCheck:
-    """Checks the so many-th shard of a split; picklable."""
+    """Checks one shard of a split; picklable."""
 
     root: Path
 
     def __call__(self, shard: tuple[str, int]) -> list[str]:
-        """What is wrong with it."""
+        """The shard's defects."""
         split, place = shard
         manifest = Manifest.load(self.root)
         listed = manifest.shards(split)[place]

@@ -44,7 +44,7 @@ def require_whole_cells(cells: Cells, triangles: SceneTriangles) -> None:
 
 
 def require_whole_views(images: np.ndarray, gbuffers: Sequence[GBuffer], triangles: int, cells: int) -> None:
-    """Raises ValueError where arrays do not fit each other, or see what there is not."""
+    """Raises ValueError if arrays are inconsistent or refer to missing triangles or cells."""
     for image, gbuffer in zip(images, gbuffers, strict=True):
         parts = (gbuffer, gbuffer.light, gbuffer.reflection, gbuffer.cells)
         layers = [value for part in parts if part is not None for value in vars(part).values()]

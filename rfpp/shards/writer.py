@@ -67,7 +67,7 @@ class ShardWriter:
         return index
 
     def discard(self) -> None:
-        """Leave nothing of an unfinished shard behind."""
+        """Delete an unfinished shard."""
         self.is_open = False
         with suppress(OSError):  # on a full disk even closing fails
             self._file.close()

@@ -31,7 +31,7 @@ def compile_blocks(network: nn.Module) -> None:
 
 
 class RecomputedBlocks:
-    """Activation checkpointing: every block forgets its activations and computes them again in the backward pass."""
+    """Activation checkpointing: each block recomputes its activations in the backward pass."""
 
     def __call__(self, network: nn.Module) -> None:
         """After `compile_blocks`."""
@@ -40,7 +40,7 @@ class RecomputedBlocks:
 
 
 class RecomputedObjects:
-    """Activation checkpointing for the least memory: a few objects' tokens at a time, and block by block behind them.
+    """Activation checkpointing with minimal memory: few objects at a time in the encoder, then block by block.
 
     What is kept of an object are its tokens. For networks that have object tokens.
 

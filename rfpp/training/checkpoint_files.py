@@ -23,7 +23,7 @@ AUTO = "auto"
 
 
 class AtomicCheckpointIO(TorchCheckpointIO):
-    """Writes beside the file's own name and renames; Lightning's passes through the system's temporary folder.
+    """Writes a temporary file in the same folder and renames it; Lightning uses the system's temporary folder.
 
     Raises:
         UserError: the disk is full, and the like; the file that was there before is left as it was.
@@ -36,23 +36,23 @@ class AtomicCheckpointIO(TorchCheckpointIO):
 
 
 def step_file(folder: Path, step: int) -> Path:
-    """Name of the checkpoint after so many steps."""
+    """File of the checkpoint after `step` steps."""
     return folder / f"step-{step:08d}.ckpt"
 
 
 def step_files(folder: Path) -> list[Path]:
-    """The checkpoints to go on from, oldest first."""
+    """Resumable checkpoints, oldest first."""
     return sorted(folder.glob("step-*.ckpt"))
 
 
 def keep_newest(folder: Path, count: int) -> None:
-    """Delete all but the newest checkpoints to go on from, and what a killed process was writing."""
+    """Delete all but the newest resumable checkpoints, and partial files of killed processes."""
     for path in [*step_files(folder)[:-count], *folder.glob(".*.ckpt.*")]:
         path.unlink(missing_ok=True)
 
 
 def point_at(target: Path, link: Path) -> None:
-    """Make `link` a link to a file or folder beside it, replacing the one that was there at once."""
+    """Make `link` a link to a file or folder beside it, atomically replacing an existing link."""
     temporary = link.with_name(f".{link.name}-{os.getpid()}")
     temporary.unlink(missing_ok=True)
     temporary.symlink_to(target.name)
@@ -92,7 +92,7 @@ def checkpoint_to_resume(choice: str | None, folder: Path, model: dict[str, Any]
 
 
 def find_defect(path: Path) -> str | None:
-    """What is wrong with a checkpoint file, by its checksums; None when it is sound."""
+    """The defect of a checkpoint file, by its checksums; None if it is intact."""
     try:
         with zipfile.ZipFile(path) as archive:
             damaged = archive.testzip()

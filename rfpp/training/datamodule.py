@@ -82,7 +82,7 @@ class SceneDataModule(L.LightningDataModule):
         return open_manifest(self.root, self.cache)
 
     def accumulation(self, devices: int) -> int:
-        """How many batches each of so many devices takes for one step, as few as it can hold.
+        """Batches to accumulate per device and step; as few as fit.
 
         Raises:
             UserError: the global batch does not divide among the devices.
@@ -102,7 +102,7 @@ class SceneDataModule(L.LightningDataModule):
 
     @property
     def scenes_per_batch(self) -> int:
-        """Scenes that a device gets at once, when all can be read."""
+        """Scenes per device and batch, if all are readable."""
         return self.scenes_per_step // (self.trainer.world_size * self.trainer.accumulate_grad_batches)
 
     def train_dataloader(self) -> DataLoader:
@@ -135,11 +135,11 @@ class SceneDataModule(L.LightningDataModule):
         return self._loader(scenes, RaggedBatch.pack, batch_size=1, sampler=mine)
 
     def state_dict(self) -> dict[str, Any]:
-        """The order and how far training has come in it; the loader itself is ahead, as its processes prefetch."""
+        """The order and the position of training in it; the loader is ahead, because its processes prefetch."""
         return {"order": self._order, "steps": self.trainer.global_step}
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
-        """Continue where the state was taken, on any number of devices. Raises UserError when the order is another."""
+        """Continue from the state, on any number of devices. Raises UserError if the order differs."""
         for name, before in state_dict["order"].items():
             if before != self._order[name]:
                 raise UserError(
@@ -150,7 +150,7 @@ class SceneDataModule(L.LightningDataModule):
 
     @property
     def _order(self) -> dict[str, Any]:
-        """Everything that the global batches are a function of."""
+        """All settings that determine the global batches."""
         return {
             "seed": self.seed,
             "datamodule.scenes_per_step": self.scenes_per_step,
@@ -160,7 +160,7 @@ class SceneDataModule(L.LightningDataModule):
         }
 
     def _triangles(self, split: ShardSplit | JoinedSplit, scene: int) -> int:
-        """Of a scene; of none where its index cannot be read, as its reader leaves it out of its batch."""
+        """Triangles of a scene; 0 if its index is unreadable, since the loader then skips it."""
         try:
             return split.triangles(scene)
         except ShardError:

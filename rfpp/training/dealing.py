@@ -15,7 +15,7 @@ Draw = TypeVar("Draw")
 
 @runtime_checkable
 class Dealing(Protocol):
-    """Divides draws into parts of equally many: a function of the draws, their triangles and the number of parts alone.
+    """Divides draws into parts of equal size: a function of the draws, their triangles and the number of parts.
 
     All ranks compute it for themselves, so they must come to the same result. Draws keep their order within a part.
     """
@@ -24,7 +24,7 @@ class Dealing(Protocol):
 
 
 class InOrder:
-    """As they come. Asks for no sizes."""
+    """In the order of the draws; does not need triangle counts."""
 
     def __call__(self, draws: Sequence[Draw], triangles_of: Callable[[Draw], int], parts: int) -> list[list[Draw]]:
         share = len(draws) // parts
@@ -32,7 +32,7 @@ class InOrder:
 
 
 class BySize:
-    """So that all parts have about as much to compute.
+    """Balances the triangle counts of the parts.
 
     From the largest scene to the smallest, each goes to the part that has the least so far and is not full: longest
     processing time first (Graham 1969), with equal numbers. Parts are numbered by their first draws, so that no

@@ -50,7 +50,7 @@ def training_flops(network: nn.Module, batch: RaggedBatch) -> float:
 
 
 def published_peak(device: torch.device, dtype: torch.dtype) -> float | None:
-    """What the maker says of this card in products of matrices; None where the card or the dtype is not listed."""
+    """The vendor's peak matrix rate of this card; None if card or dtype is not listed."""
     if device.type != "cuda" or dtype != torch.bfloat16:
         return None
     name = torch.cuda.get_device_name(device)
@@ -59,7 +59,7 @@ def published_peak(device: torch.device, dtype: torch.dtype) -> float | None:
 
 @torch.no_grad()
 def matrix_product_rate(device: torch.device, dtype: torch.dtype) -> float:
-    """Operations per second of this device, now, in products of large matrices."""
+    """Measured operations per second of this device in products of large matrices."""
     size = MATRIX_SIZE.get(device.type, MATRIX_SIZE["cpu"])
     a = torch.randn(size, size, device=device, dtype=dtype)  # constants take less power, and a GPU then runs faster
 

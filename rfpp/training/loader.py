@@ -14,7 +14,7 @@ from rfpp.training.stopping import unheard_by_children
 
 
 class SceneLoader(DataLoader):
-    """A DataLoader whose processes outlive what asks training to stop, until training has.
+    """A DataLoader whose processes ignore stop signals until training has stopped.
 
     Their errors arrive as they were raised: a line each, not a traceback as the message.
     """
@@ -33,7 +33,7 @@ class SceneLoader(DataLoader):
 
 
 class SkippingCorrupt(Dataset):
-    """A dataset that warns of damaged scenes, once per process and scene, and gives None in their place.
+    """A dataset that returns None for damaged scenes, with a warning per process and scene.
 
     Args:
         scenes: raises ShardError, naming shard and scene, where it cannot read one.
@@ -51,7 +51,7 @@ class SkippingCorrupt(Dataset):
 
 
 def pack_readable(scenes: Sequence[SceneViews | None]) -> RaggedBatch:
-    """A batch of the scenes that could be read. Raises ShardError when there is none."""
+    """Collate the readable scenes into a batch. Raises ShardError if there are none."""
     readable = [scene for scene in scenes if scene is not None]
     if not readable:
         raise ShardError(f"none of a batch's {len(scenes)} scenes can be read: see the warnings above")

@@ -96,7 +96,7 @@ class RenderingModule(L.LightningModule):
         self.log("train/gradient_norm", norm)
 
     def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
-        """Raises UserError where the state to go on from is another optimizer's."""
+        """Raises UserError if the checkpoint's state is of another optimizer."""
         (state,) = checkpoint["optimizer_states"]
         if _shape(state["param_groups"]) != _shape(self._optimizer(decay_groups(self.network)).param_groups):
             raise UserError(
@@ -123,5 +123,5 @@ def decay_groups(network: nn.Module) -> list[dict]:
 
 
 def _shape(groups: Sequence[Mapping[str, Any]]) -> list[tuple[int, bool]]:
-    """What optimizers' states must agree in: parameters of each group, and whether it is stepped by momentum alone."""
+    """Properties in which optimizer states must agree: parameters per group, and use of momentum only."""
     return [(len(group["params"]), "betas" in group) for group in groups]

@@ -45,7 +45,7 @@ class MuonWithAdamW(Optimizer):
         self._share()
 
     def _share(self) -> None:
-        """One state and one list of groups, of which each part sees its own."""
+        """Share one state and one list of groups between both optimizers."""
         for part in self._parts:
             mine = [group for group in self.param_groups if ("betas" in group) == isinstance(part, AdamW)]
             part.param_groups, part.state = mine, self.state
@@ -67,7 +67,7 @@ class MuonWithAdamW(Optimizer):
 
 
 def _divided(groups: Iterable[Mapping[str, Any]]) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
-    """Groups of the matrices of hidden layers, and of all other parameters; each with its group's settings."""
+    """Split parameter groups into hidden matrices and all other parameters, keeping their settings."""
     divided: tuple[list[dict[str, Any]], list[dict[str, Any]]] = ([], [])
     for group in groups:
         settings = {name: value for name, value in group.items() if name not in ("params", HIDDEN)}

@@ -12,7 +12,7 @@ _PR_SET_PDEATHSIG = 1  # linux/prctl.h
 
 
 def end_with_parent(worker: int = 0) -> None:
-    """To be called in a child: from now on Linux kills it when its parent is gone.
+    """Call in a child process: Linux then kills it when its parent ends.
 
     Elsewhere PyTorch's own watch has to do, which looks every few seconds, and not while a batch is made.
 

@@ -15,7 +15,7 @@ AUTO = "auto"
 
 
 def training_precision(chosen: str, accelerator: str, resumed: Path | None) -> str:
-    """Lightning's name of the precision to train in.
+    """The precision to train in, by Lightning's name.
 
     "auto" is mixed precision where the device multiplies in bfloat16, as in rendering, and float32 elsewhere: emulated,
     bfloat16 takes three times as long. A run that goes on keeps what it was begun in, on whatever machine.
@@ -38,13 +38,13 @@ def training_precision(chosen: str, accelerator: str, resumed: Path | None) -> s
 
 
 def _begun_in(checkpoint: Path) -> str | None:
-    """What the run of a checkpoint was told; None where its folder does not say."""
+    """The precision setting of a checkpoint's run; None if its folder does not state it."""
     config = checkpoint.parent.parent / "config.yaml"
     return OmegaConf.select(OmegaConf.load(config), "trainer.precision") if config.is_file() else None
 
 
 def _device(accelerator: str) -> torch.device:
-    """Where Lightning will train."""
+    """The device that Lightning will use."""
     if accelerator in ("auto", "gpu", "cuda") and torch.cuda.is_available():
         return torch.device("cuda")
     if accelerator in ("auto", "gpu", "mps") and torch.backends.mps.is_available():

@@ -39,14 +39,14 @@ def divide_global_batch(trainer: L.Trainer, datamodule: SceneDataModule) -> None
 
 
 def trainer_plugins() -> list[Any]:
-    """Checkpoints written whole; under Slurm none of Lightning's requeueing, which saves inside the signal handler."""
+    """Atomic checkpoints; under Slurm, disable Lightning's requeueing, which saves inside the signal handler."""
     slurm = [SLURMEnvironment(auto_requeue=False)] if SLURMEnvironment.detect() else []
     return [AtomicCheckpointIO(), *slurm]
 
 
 @contextmanager
 def same_folder_in_children(run_dir: Path) -> Iterator[None]:
-    """Processes started here, one per further device, compose the configuration anew: later, but with this folder."""
+    """Make child processes (one per further device), which recompose the configuration, use this folder."""
     os.environ[RUN_VARIABLE] = run_dir.name
     try:
         yield
@@ -55,13 +55,13 @@ def same_folder_in_children(run_dir: Path) -> Iterator[None]:
 
 
 def parameter_counts(network: nn.Module) -> dict[str, int]:
-    """Parameters of each stage, in order, and in all."""
+    """Parameter counts per stage, in order, and in total."""
     counts = {name: sum(p.numel() for p in part.parameters()) for name, part in network.named_children()}
     return {**counts, "total": sum(counts.values())}
 
 
 def start_summary(cfg: DictConfig, network: nn.Module, datamodule: SceneDataModule, trainer: L.Trainer) -> str:
-    """A few lines: network by stage, data, batch arithmetic, devices and precision, where things are written."""
+    """Summary at the start: network by stage, data, batches, devices, precision, output folders."""
     counts = parameter_counts(network)
     stages = ", ".join(f"{name} {count / 1e6:.2f}M" for name, count in counts.items() if name != "total")
     data = datamodule.manifest

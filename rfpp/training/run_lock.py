@@ -13,7 +13,7 @@ from rfpp.errors import UserError
 
 @contextmanager
 def only_writer_of(run_dir: Path) -> Iterator[None]:
-    """Hold a run's folder. A process that ends in any way lets go of it.
+    """Lock a run's folder; the lock is released when the process ends.
 
     Raises:
         UserError: another process holds it.

@@ -23,7 +23,7 @@ BY_WEIGHT = (COME_BACK, INTERRUPT, END)
 
 
 class StopSignals:
-    """Remembers that a signal came.
+    """Remembers received signals.
 
     Nothing is done inside the handler: ranks get a signal at different moments, and one that starts to save in the
     middle of another's all-reduce waits for ever.
@@ -36,14 +36,14 @@ class StopSignals:
         self.received: signal.Signals | None = None
 
     def watch(self) -> None:
-        """From now on; replaces other handlers, such as Lightning's, which save and communicate inside."""
+        """Start watching; replaces other handlers, such as Lightning's, which save and communicate inside."""
         if self.received != INTERRUPT:  # else the next Ctrl-C has been promised to end the process
             signal.signal(INTERRUPT, self._remember)
         for number in (COME_BACK, END):
             signal.signal(number, self._remember)
 
     def take(self) -> signal.Signals | None:
-        """What was received, which is forgotten: whoever asks acts on it."""
+        """Return the received signal and clear it; the caller handles it."""
         received, self.received = self.received, None
         return received
 

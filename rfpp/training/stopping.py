@@ -21,7 +21,7 @@ from rfpp.training.signals import BY_WEIGHT, COME_BACK
 
 
 class StoppedError(UserError):
-    """Training ended before its time, on all ranks at once, and everything that was learned is saved.
+    """Training was stopped early, on all ranks at the same step, after saving a checkpoint.
 
     Attributes:
         signal: what was received.
@@ -34,7 +34,7 @@ class StoppedError(UserError):
 
 @contextmanager
 def unheard_by_children() -> Iterator[None]:
-    """Daemonic processes started meanwhile never get these signals, which Slurm and terminals send to all processes.
+    """Child processes started in this block ignore stop signals, which Slurm and terminals send to all processes.
 
     A loader process would die of them, and training with it, before the ranks have agreed and saved. When this
     process ends, it kills those that are left.
@@ -59,7 +59,7 @@ def _kill_children() -> None:
 
 
 class Agreement:
-    """The same answer on all ranks to two questions: what was received, and whether a checkpoint is due.
+    """Agreement of all ranks on the received signal and on whether a checkpoint is due.
 
     Ranks ask over a group of their own, of their processors: an answer that went through their accelerators would
     come after all the work that these have been given. To be made by all ranks together.
@@ -72,7 +72,7 @@ class Agreement:
         self._group = dist.new_group(backend="gloo") if ranks > 1 else None
 
     def __call__(self, received: signal.Signals | None, due: bool) -> tuple[signal.Signals | None, bool]:
-        """What any rank has received, the weightiest first, and whether any says so; each must ask, at the same steps.
+        """The most important signal of any rank, and whether any rank is due; call on all ranks at the same steps.
 
         Args:
             received: by this rank.
@@ -87,7 +87,7 @@ class Agreement:
 
 
 def end_early(stop: StoppedError, run_dir: Path) -> NoReturn:
-    """Ask Slurm to start the job again where that was wanted, say how to go on, and exit as a signal's receiver."""
+    """Requeue the Slurm job if requested, print how to resume, and exit with the signal's status."""
     how = f"the same command with run_dir={run_dir} goes on"
     job = os.environ.get("SLURM_JOB_ID")
     if stop.signal == COME_BACK and job is not None:

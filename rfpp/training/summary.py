@@ -10,7 +10,7 @@ from rfpp.training.tracking.run_logger import RunLogger
 
 
 def end_summary(logger: RunLogger, checkpoint: Path, data_root: str, monitor: str) -> str:
-    """A few lines: best validation, its checkpoint, where the run is tracked, how to evaluate and render.
+    """Summary at the end: best validation score, its checkpoint, tracking, and commands to evaluate and render.
 
     Args:
         checkpoint: the best one.

@@ -22,7 +22,7 @@ from rfpp.training.dealing import Dealing
 
 @dataclass(frozen=True)
 class RigidAugmentation:
-    """Moves scene and cameras together; images and camera-space G-buffers do not change.
+    """Random rigid motion of scene and cameras; images and camera-space G-buffers do not change.
 
     RSPE makes the network indifferent to translations but not to rotations (RenderFormer trains so too).
 
@@ -57,7 +57,7 @@ def moved(views: SceneViews, rotation: np.ndarray, translation: np.ndarray) -> S
 
 
 class ColourPermutation:
-    """Permutes red, green and blue in materials, lights and images; light transport treats channels alike.
+    """Random permutation of the colour channels of materials, lights and images.
 
     Not in the paper, whose data set is two thousand times quickstart's.
     """
@@ -154,7 +154,7 @@ class GlobalBatches(Sampler[list[tuple[int, int]]]):
         self.rank, self.ranks, self.accumulate = rank, ranks, accumulate
 
     def __len__(self) -> int:
-        """Batches of this rank in the whole run, as Lightning counts on from `start` itself."""
+        """Batches of this rank in the whole run; Lightning counts on from `start` itself."""
         return self.batches * self.accumulate
 
     def __iter__(self) -> Iterator[list[tuple[int, int]]]:

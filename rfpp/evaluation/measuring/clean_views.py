@@ -61,15 +61,15 @@ class CleanScene:
 
     @property
     def to_add(self) -> Float[Tensor, "v 3 h w"]:
-        """Further light: what the reference adds to known light, where it counts."""
+        """Further light: the reference minus known light, in pixels that count."""
         return self.counted * (self.reference - self.known_finely)
 
     def added_by(self, image: Float[Tensor, "v 3 h w"]) -> Float[Tensor, "v 3 h w"]:
-        """What a network's image adds to the known light it is given, likewise."""
+        """A network's image minus its known light, in pixels that count."""
         return self.counted * (image - self.known)
 
     def batch(self, channels: tuple[str, ...]) -> RaggedBatch:
-        """For a network that reads these; without the image, which has fewer pixels than there are points."""
+        """A batch for a network with these inputs, without the image, which has fewer pixels than points."""
         packed = RaggedBatch.pack([replace(self.views, image=None)])
         named = dict(zip(CHANNELS, packed.gbuffer.split(list(CHANNELS.values()), dim=2), strict=True))
         stacked = [packed.gbuffer[:, :, :0], *(named[name] for name in channels)]
@@ -77,7 +77,7 @@ class CleanScene:
 
 
 def clean_scene(split: ShardSplit, index: int, folder: Path) -> CleanScene:
-    """The scene at `index` of a split; its rays are cast once and kept in `folder`, for all sets that have it."""
+    """The scene at `index` of a split; its rays are cast once and cached in `folder` for all data sets with it."""
     sample = split.read(index, None, ())
     scene = PackedScene(sample.key, sample.triangles, sample.c2w, sample.fov)
     height, width = sample.images.shape[1:3]
@@ -114,7 +114,7 @@ def clean_scene(split: ShardSplit, index: int, folder: Path) -> CleanScene:
 
 
 def without_glints(glossy: Float[Tensor, "v 3 h w"], image: Float[Tensor, "v 3 h w"]) -> Float[Tensor, "v 1 h w"]:
-    """1 for pixels in which no lamp glints, 0 for others.
+    """Mask: 1 for pixels without glinting lamps, 0 for others.
 
     Args:
         glossy: known light from glossy lobes.
@@ -124,7 +124,7 @@ def without_glints(glossy: Float[Tensor, "v 3 h w"], image: Float[Tensor, "v 3 h
 
 
 def known_finely(scene: PackedScene, height: int, width: int) -> Float[np.ndarray, "2 v 3 h w"]:
-    """Known light that is free of noise, and of what single points miss: of the diffuse and of the glossy lobe."""
+    """Noise-free, antialiased known light of the diffuse and the glossy lobe."""
     rays, lobes = GBufferSource(KNOWN).of(scene, height, width, FINE_SAMPLES, FINE_POINTS), []
     for view in range(len(scene.fov)):
         channels = torch.from_numpy(rays(view)).split([CHANNELS[name] for name in KNOWN])

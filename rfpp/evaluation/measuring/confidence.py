@@ -69,14 +69,14 @@ class Bootstrap:
 
 
 def estimates(records: Sequence[SceneRecord], bootstrap: Bootstrap) -> dict[str, Estimate]:
-    """By metric, of one predictor's records."""
+    """Estimates of one predictor's records, by metric."""
     names = list(records[0].values)
     values = np.array([[record.values[name] for name in names] for record in records])
     return dict(zip(names, bootstrap(values), strict=True))
 
 
 def split_estimates(records: Iterable[SceneRecord], bootstrap: Bootstrap) -> dict[tuple[str, str], Estimates]:
-    """Every scene counting the same, by (split, predictor)."""
+    """Estimates by (split, predictor), with equal weight for each scene."""
     grouped = defaultdict(list)
     for record in records:
         grouped[record.split, record.predictor].append(record)
@@ -84,7 +84,7 @@ def split_estimates(records: Iterable[SceneRecord], bootstrap: Bootstrap) -> dic
 
 
 def mean_of_parts(parts: Sequence[Estimate]) -> Estimate:
-    """Estimates from different scenes, such as two splits, every part counting the same.
+    """Mean of estimates from different scenes, such as two splits, with equal weights.
 
     Their errors are independent: the distances to the interval's ends add in quadrature.
     """
@@ -95,6 +95,6 @@ def mean_of_parts(parts: Sequence[Estimate]) -> Estimate:
 
 
 def mean_of_seeds(seeds: Sequence[Estimate]) -> Estimate:
-    """Estimates from the same scenes: their errors go together, so the ends of the intervals are averaged too."""
+    """Mean of estimates from the same scenes: their errors are correlated, so interval ends are averaged, too."""
     mean, low, high = np.mean([(seed.mean, seed.low, seed.high) for seed in seeds], axis=0).tolist()
     return Estimate(mean, low, high, seeds[0].scenes)

@@ -93,7 +93,7 @@ def network_records(
     on_scene: OnScene,
     predictor: str = MODEL,
 ) -> list[ImageRecord]:
-    """What the network scores on every image of the split.
+    """The network's scores on every image of the split.
 
     Args:
         on_scene: called after each scene, for a progress bar.
@@ -115,7 +115,7 @@ def network_records(
 def baseline_records(
     baselines: Sequence[Baseline], split: ShardSplit, metrics: ImageMetrics, device: torch.device, on_scene: OnScene
 ) -> list[ImageRecord]:
-    """What each baseline scores on every image of the split, whichever network stands beside it.
+    """The baselines' scores on every image of the split, independent of the network.
 
     Arguments and errors are those of `network_records`.
     """
@@ -134,7 +134,7 @@ def baseline_records(
 
 
 def fitted_baselines(train: ShardSplit, scenes: int) -> list[Baseline]:
-    """Every trivial baseline, fitted on evenly spaced training scenes, at most `scenes` of them."""
+    """All trivial baselines, fitted on at most `scenes` evenly spaced training scenes."""
     baselines = (Black(), MeanImage(), AlbedoTimesConstant(), DirectLightAlone(), DirectLightReflected())
     return [baseline.fit(_training_views(train, scenes)) for baseline in baselines]
 
@@ -148,7 +148,7 @@ def _scenes(split: ShardSplit) -> range:
 def _image_records(
     at: tuple[str, str, int, int, int], predictor: str, values: Mapping[str, Float[Tensor, " v"]]
 ) -> list[ImageRecord]:
-    """Of all views of one scene. Args: at: split, scene, triangles, objects, lights."""
+    """Records of all views of one scene. Args: at: split, scene, triangles, objects, lights."""
     split, scene, *counts = at
     by_view = zip(*(column.tolist() for column in values.values()), strict=True)
     return [

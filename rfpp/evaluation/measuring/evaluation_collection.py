@@ -21,7 +21,7 @@ COLLECTION_FILE = "evaluations.json"
 
 
 def read_evaluations(paths: Iterable[Path]) -> list[Evaluation]:
-    """The evaluations in these files and anywhere beneath these folders, all fit to stand in one table.
+    """The evaluations in these files and folders, searched recursively, checked to be comparable.
 
     Copies of an evaluation, such as MLflow keeps, count once.
 
@@ -43,7 +43,7 @@ def read_evaluations(paths: Iterable[Path]) -> list[Evaluation]:
 
 
 def write_collection(evaluations: Sequence[Evaluation], path: Path) -> Path:
-    """Write them into one file, a line each; returns its path. Raises UserError: it cannot be written."""
+    """Write them into one file, one per line; returns its path. Raises UserError if it cannot be written."""
     contents = [evaluation.to_json() for evaluation in evaluations]
     shared = contents[0]
     for content in contents[1:]:
@@ -65,7 +65,7 @@ def _read(path: Path) -> list[Evaluation]:
 
 
 def _shared(a: Mapping[str, Any], b: Mapping[str, Any]) -> dict[str, Any]:
-    """What two nested dictionaries have in common."""
+    """The common entries of two nested dictionaries."""
     common = {}
     for key in (key for key in a if key in b):
         if isinstance(a[key], dict) and isinstance(b[key], dict):
@@ -76,7 +76,7 @@ def _shared(a: Mapping[str, Any], b: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _without(content: Mapping[str, Any], shared: Mapping[str, Any]) -> dict[str, Any]:
-    """Of a nested dictionary what is not shared; `_merged` puts it back."""
+    """A nested dictionary without the shared entries; `_merged` restores them."""
     own = {}
     for key, value in content.items():
         if key not in shared:

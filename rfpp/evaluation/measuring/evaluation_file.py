@@ -27,7 +27,7 @@ EVALUATION_FILE = "evaluation.json"
 
 @dataclass(frozen=True)
 class Evaluation:
-    """What one checkpoint, and the trivial baselines beside it, scored on one data set.
+    """Scores of one checkpoint and the trivial baselines on one data set.
 
     Attributes:
         method, trained_on, seed, steps, commit: of the checkpoint; its data set by name.
@@ -112,7 +112,7 @@ class Evaluation:
 
 @contextmanager
 def reading(path: Path) -> Iterator[None]:
-    """Errors within become a UserError that names the file."""
+    """Turns errors inside the block into a UserError that names the file."""
     try:
         yield
     except OSError as error:
@@ -122,7 +122,7 @@ def reading(path: Path) -> Iterator[None]:
 
 
 def require_known_metrics(evaluation: Evaluation, path: Path) -> None:
-    """Raises UserError naming the file: what it calls by a metric's name is another metric by now."""
+    """Raises UserError naming the file if the definition of one of its metrics has changed."""
     for name, definition in evaluation.definitions.items():
         if name not in METRICS or METRICS[name].definition != definition:
             raise UserError(f"{path}: '{name}' is by now another metric ({definition}): evaluate again")

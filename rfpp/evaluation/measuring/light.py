@@ -27,7 +27,7 @@ AS_IT_IS = "as_it_is"
 
 @dataclass
 class LightErrors:
-    """Of one predictor on S scenes, as it is and with parts of it made useless (`rfpp.losses.life`).
+    """Errors of one predictor on S scenes, unchanged and with parts disabled (`rfpp.losses.life`).
 
     Attributes:
         wrong: by what was done, of every scene Σ |m(x) − m(y)|, m the means over squares of what was added to known
@@ -69,7 +69,7 @@ class LightErrors:
         return float(np.median(np.array(self.wrong[AS_IT_IS]) / np.array(self.there)))
 
     def energy(self) -> float:
-        """Further light as a share of what it should be, over all scenes."""
+        """Ratio of predicted to reference further light, over all scenes."""
         return sum(self.added) / sum(self.to_add)
 
     def growth(self) -> dict[str, float]:
@@ -87,7 +87,7 @@ def measure(
     autocast: Callable[[], torch.autocast],
     on_scene: Callable[[], None] = lambda: None,
 ) -> dict[str, LightErrors]:
-    """Every predictor on every scene of a split, with known light that is free of noise.
+    """Measure every predictor on every scene of a split, with noise-free known light.
 
     Args:
         predictors: networks in evaluation mode on the CPU, `UnlearnedRadiosity`, or None for known light alone.
@@ -114,7 +114,7 @@ def _images(
     name: str,
     autocast: Callable[[], torch.autocast],
 ) -> Sequence[tuple[str, Float[Tensor, "v 3 h w"]]]:
-    """Linear radiance by what was done to the network; the tokens it gives the next scene are left in `donors`."""
+    """Linear radiance by disabled part; the tokens for the next scene are stored in `donors`."""
     if network is None:
         return [(AS_IT_IS, scene.known)]
     batch = scene.batch(tuple(network.gbuffer_channels))

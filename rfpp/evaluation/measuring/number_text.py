@@ -13,7 +13,7 @@ EMPTY = "—"
 
 
 def number_text(name: str, value: float) -> str:
-    """With the digits of the metric `name`."""
+    """Format a value with the number of digits of the metric `name`."""
     return f"{value:.{METRICS[name].decimals}f}"
 
 

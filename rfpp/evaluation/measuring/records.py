@@ -14,7 +14,7 @@ Values = Mapping[str, float]
 
 @dataclass(frozen=True)
 class ImageRecord:
-    """What one predictor scored on one image.
+    """Scores of one predictor on one image.
 
     Attributes:
         split, scene, view: which image.
@@ -35,7 +35,7 @@ class ImageRecord:
 
 @dataclass(frozen=True)
 class SceneRecord:
-    """What one predictor scored on one scene: the mean over its views.
+    """Scores of one predictor on one scene: means over its views.
 
     Attributes: those of an `ImageRecord`, but for the view.
     """

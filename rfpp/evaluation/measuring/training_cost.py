@@ -12,7 +12,7 @@ from rfpp.training.tracking.journal import JOURNAL, records
 
 @dataclass(frozen=True)
 class TrainingCost:
-    """Of one step, on the machine that trained.
+    """Time and memory of one step on the training machine.
 
     Attributes:
         seconds: the median, time that the loader was waited for included.
@@ -24,7 +24,7 @@ class TrainingCost:
 
     @classmethod
     def of_run(cls, folder: Path) -> TrainingCost | None:
-        """Of the training in this folder; None where no journal tells (a network from elsewhere)."""
+        """The cost of the training in this folder; None without a journal (an imported network)."""
         journal = folder / JOURNAL
         if not journal.is_file():
             return None

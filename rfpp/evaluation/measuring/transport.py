@@ -80,7 +80,7 @@ def trace_transport(
 
 
 def operator_of(network: nn.Module) -> PhysicsInformedTransport:
-    """The part that holds a network's operator. Raises UserError for one without."""
+    """The module that contains a network's operator. Raises UserError if there is none."""
     transport = network.transport.transport if isinstance(network.transport, EncodedTransport) else network.transport
     if not isinstance(transport, PhysicsInformedTransport):
         raise UserError(f"the checkpoint's {type(transport).__name__} applies no operator: give one trained with PITG")

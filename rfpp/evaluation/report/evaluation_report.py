@@ -35,7 +35,7 @@ REPORT_FILE = "report.html"
 
 @dataclass(frozen=True)
 class SplitSection:
-    """What the page says of one split.
+    """The section of the page on one split.
 
     Attributes:
         name: of the split.
@@ -57,7 +57,7 @@ class SplitSection:
 
 @dataclass(frozen=True)
 class SceneCard:
-    """What the page shows of one scene.
+    """The card of one scene on the page.
 
     Attributes:
         record: the model's.
@@ -127,7 +127,7 @@ def _section(stored: StoredEvaluation, split: str) -> SplitSection:
 
 
 def _cards(stored: StoredEvaluation, split: str) -> Iterator[SceneCard]:
-    """Of the scenes with pictures, worst first."""
+    """Cards of the scenes with pictures, worst first."""
     mine = _of_model(stored, split)
     for rank, index in reversed(list(enumerate(ranking(mine)))):
         if pictures := stored.pictures.get((split, mine[index].scene)):

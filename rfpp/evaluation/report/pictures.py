@@ -40,7 +40,7 @@ class StoredPicture:
 
     @classmethod
     def of(cls, picture: Picture) -> StoredPicture:
-        """Without loss, but for the shrinking of what is larger than `MAX_PIXELS`."""
+        """Encode losslessly; images larger than `MAX_PIXELS` are downscaled."""
         image, stream = Image.fromarray(np.ascontiguousarray(picture)), io.BytesIO()
         image.thumbnail((MAX_PIXELS, MAX_PIXELS), Image.Resampling.BOX)
         image.save(stream, format="webp", lossless=True)

@@ -55,7 +55,7 @@ def distribution_plot(values: Mapping[str, Sequence[float]], may_be_log: bool) -
 
 
 def size_plot(triangles: Sequence[int], values: Sequence[float], may_be_log: bool) -> Markup:
-    """A point per scene, its number of triangles to the right; values that are not finite are left out.
+    """One point per scene over its number of triangles; non-finite values are omitted.
 
     Args:
         may_be_log: as for `distribution_plot`.
@@ -78,7 +78,7 @@ def _axes() -> tuple[Figure, Axes]:
 
 
 def _spread(axes: Axes, which: str, numbers: np.ndarray) -> None:
-    """Make an axis logarithmic if its numbers are far apart."""
+    """Make an axis logarithmic if its values span orders of magnitude."""
     if len(numbers) and numbers.min() > 0 and numbers.max() > _LOG_FROM * numbers.min():
         axes.set(**{f"{which}scale": "log"})
         axis = getattr(axes, f"{which}axis")

@@ -22,7 +22,7 @@ def ranking(scenes: Sequence[SceneRecord]) -> list[int]:
 
 
 def places(scenes: int) -> dict[str, int]:
-    """By name the rank of the best, the median and the worst among so many scenes, from 0."""
+    """Names and 0-based ranks of the best, the median and the worst of `count` scenes."""
     return {"best": 0, "median": scenes // 2, "worst": scenes - 1}
 
 

@@ -36,7 +36,7 @@ class Line:
 
 
 def lines(rows: Sequence[Row], metric: str) -> list[Line]:
-    """Everything that was measured, the best first; several trainings of one method are told apart by their steps."""
+    """All measured methods, best first; several trainings of one method are labelled by their steps."""
     runs = [(row, run) for row in rows for run in row.runs if metric in run.columns[-1].means]
     found = [Line(_label(row, run), run, row.is_baseline) for row, run in runs]
     sign = -1 if METRICS[metric].higher_is_better else 1
@@ -44,7 +44,7 @@ def lines(rows: Sequence[Row], metric: str) -> list[Line]:
 
 
 def figure(table: ResultTable) -> Figure | None:
-    """A row of panels for each block of the table, on the last of its splits; None where nothing can be drawn.
+    """One row of panels per block of the table, for its last split; None if nothing was measured.
 
     A dot is a seed, a bar the 95% interval of their mean over scenes.
     """

@@ -38,7 +38,7 @@ def write_table(table: ResultTable, folder: Path) -> list[Path]:
 
 
 def markdown(layout: Layout) -> str:
-    """GitHub's Markdown, which knows one line of headings: the groups' are repeated in each column."""
+    """GitHub Markdown; tables have one header line, so group headings are repeated in each column."""
     spanned = [group for group, count in layout.groups.items() for _ in range(count)]
     headings = [*layout.headings[:2], *(f"{g}: {h}" for g, h in zip(spanned, layout.headings[2:], strict=True))]
     rows = [headings]
@@ -72,7 +72,7 @@ def latex(layout: Layout) -> str:
 
 
 def csv_rows(table: ResultTable) -> Iterator[CsvRow]:
-    """One row per number, so that every program can filter and pivot: `ours` is empty where a row was not run."""
+    """One row per number (long format); `ours` is empty for methods that were not run."""
     for heading, rows in table.blocks:
         for row in rows:
             for run in row.runs or [None]:
@@ -93,7 +93,7 @@ def _ours(run: Run | None, index: int, metric: str) -> CsvRow:
 
 
 def _about(row: Row, run: Run | None) -> CsvRow:
-    """Where our numbers come from; a baseline was not trained."""
+    """The source of our numbers; baselines are not trained."""
     evaluations = run.evaluations if run else []
     trained = [] if row.is_baseline else evaluations
     return {

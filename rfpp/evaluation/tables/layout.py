@@ -42,7 +42,7 @@ class Layout:
 
 
 def lay_out(table: ResultTable) -> Layout:
-    """A line for the paper's numbers, one for ours, one for their interval, and one for their spread over seeds."""
+    """Lines for the paper's numbers, ours, their interval, and their spread over seeds."""
     columns = [(group, name) for group in range(len(table.groups)) for name in table.metrics]
     notes: list[str] = []
     blocks = [(h, [line for row in rows for line in _lines(row, columns, notes)]) for h, rows in table.blocks]
@@ -74,7 +74,7 @@ def cost_text(run: Run) -> str:
 
 
 def _lines(row: Row, columns: Sequence[tuple[int, str]], notes: list[str]) -> Iterator[list[str]]:
-    """The lines of one row; what they say of their runs is appended to `notes`."""
+    """The lines of one row; notes on its runs are appended to `notes`."""
     label = row.label
     if row.paper is not None:
         yield [label, "paper", *(number_text(name, row.paper[group][name]) for group, name in columns)]
@@ -111,7 +111,7 @@ def _description(run: Run) -> str:
 
 
 def _life(run: Run) -> str:
-    """What of the first seed's network lives, on the last split."""
+    """Use of network parts by the first seed's network, on the last split."""
     of_splits = list(run.evaluations[0].life.values())
     return f" Seed {run.evaluations[0].seed}: {life_text(of_splits[-1])}." if of_splits and of_splits[-1] else ""
 

@@ -53,7 +53,7 @@ class Method:
 
 
 def methods(rows: Sequence[Row]) -> dict[tuple[str, str], list[Method]]:
-    """By data set and bounces, the best first."""
+    """Methods by data set and bounces, best first."""
     grouped: dict[tuple[str, str], dict[str, list[Row]]] = defaultdict(lambda: defaultdict(list))
     for row in rows:
         trained = f", {row['steps']} steps on {row['trained_on']}" if row["steps"] else ""
@@ -95,7 +95,7 @@ def _cells(method: Method) -> list[str]:
 
 
 def png(found: Sequence[Method]) -> bytes:
-    """Of one data set: a dot is a seed, a bar the 95% interval over scenes."""
+    """Plot of one data set: one dot per seed, bars are 95% intervals over scenes."""
     from matplotlib.figure import Figure
     from matplotlib.ticker import LogLocator, NullFormatter
 

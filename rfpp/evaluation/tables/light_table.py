@@ -23,7 +23,7 @@ KEY = ("data", "method", "seed", "steps", "trained_on", "bounces")
 
 
 def light_row(name: str, info: CheckpointInfo | None, errors: LightErrors) -> dict[str, Any]:
-    """Of one predictor: a network's checkpoint, or what goes by this name."""
+    """The row of one predictor: a checkpoint, or a method without a network."""
     further, log_l1 = errors.further(), errors.log_l1[AS_IT_IS]
     growth = {f"log_l1_growth_{what}": round(value, 4) for what, value in errors.growth().items()}
     trained = {} if info is None else {"seed": info.seed, "steps": info.steps, "trained_on": info.dataset}
@@ -47,7 +47,7 @@ def light_rows(file: Path) -> list[dict[str, str]]:
 
 
 def write_light_rows(rows: list[dict[str, Any]], file: Path) -> Path:
-    """Into a table in which rows of the same KEY are replaced, and others stay."""
+    """Write rows into a table; existing rows with the same KEY are replaced."""
     new = {tuple(str(row.get(name, "")) for name in KEY) for row in rows}
     old = light_rows(file) if file.exists() else []
     kept = [row for row in old if tuple(row.get(name, "") for name in KEY) not in new]

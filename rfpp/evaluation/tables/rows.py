@@ -35,7 +35,7 @@ class Column:
 
 @dataclass(frozen=True)
 class Run:
-    """One training, or several that differ in nothing but their seeds, as measured by us.
+    """Measurements of one training, or of several that differ only in their seeds.
 
     Attributes:
         evaluations: of each seed on each data set.
@@ -101,7 +101,7 @@ def paper_table(table: PaperTable, evaluations: Sequence[Evaluation]) -> ResultT
 
 
 def other_table(evaluations: Sequence[Evaluation], placed: Sequence[Evaluation]) -> ResultTable:
-    """Every evaluation that is not `placed` in another table, a block for each data set."""
+    """All evaluations that are not `placed` in another table, one block per data set."""
     others = [e for e in evaluations if not any(e is other for other in placed)]
     groups = {split: (split,) for e in others for split, _ in e.means}
     blocks = []
@@ -115,7 +115,7 @@ def other_table(evaluations: Sequence[Evaluation], placed: Sequence[Evaluation])
 
 
 def _runs(evaluations: Sequence[Evaluation], data: Sequence[str], groups: Groups) -> list[Run]:
-    """Of one method: a run for each training of which some seeds were evaluated on all of these data sets."""
+    """The runs of one method whose seeds were evaluated on all of these data sets."""
     trainings: dict[tuple, dict[int, list[Evaluation]]] = defaultdict(lambda: defaultdict(list))
     for e in evaluations:
         if e.data in data:
@@ -129,7 +129,7 @@ def _runs(evaluations: Sequence[Evaluation], data: Sequence[str], groups: Groups
 
 
 def _baseline_rows(evaluations: Sequence[Evaluation], data: Sequence[str], groups: Groups) -> list[Row]:
-    """The baselines depend on the data alone: any evaluation of each data set has their numbers."""
+    """Rows of the baselines; they depend only on the data, so any evaluation of a data set has their numbers."""
     by_data = {e.data: e for e in evaluations if e.data in data}
     if len(by_data) < len(data):
         return []
@@ -145,7 +145,7 @@ def _run(seeds: Sequence[Sequence[Evaluation]], predictor: str, groups: Groups) 
 
 
 def _column(seeds: Sequence[Sequence[Evaluation]], keys: Sequence[tuple[str, str]]) -> Column:
-    """The mean over `keys` (split, predictor) and data sets, every one of them counting the same, then over seeds."""
+    """The mean over `keys` (split, predictor) and data sets with equal weights, then over seeds."""
     parts = [[e.means.get(key, {}) for e in of_seed for key in keys] for of_seed in seeds]
     shared = set.intersection(*(set(part) for of_seed in parts for part in of_seed))
     means, deviations = {}, {}

@@ -17,7 +17,7 @@ RANDOM_KEY = "random_states"
 
 
 class ExactResume(L.Callback):
-    """Saves the random state of every rank, and puts the loop's counters right where batches are divided otherwise.
+    """Saves the random state of every rank; corrects loop counters if the division of batches has changed.
 
     A run may go on with another number of ranks: the data's order does not depend on it, and ranks that were not there
     before are seeded anew.

@@ -19,11 +19,11 @@ from rfpp.segments import Segments
 
 
 class NonFiniteGradientError(UserError):
-    """A loss or its gradient is infinite or not a number, on some rank; all ranks raise it."""
+    """A loss or gradient is NaN or infinite on some rank; raised on all ranks."""
 
 
 class FiniteGradients(L.Callback):
-    """Stops before the step that would ruin the weights, and writes the global batch that led to it.
+    """Stops before a step with non-finite gradients, and writes its global batch.
 
     A loss that is not finite on one rank is a gradient that is not finite on all, once they have been averaged: no
     further agreement is needed. Each rank writes its share: `step-00000012-rank0-batch0.safetensors`, every tensor of

@@ -20,7 +20,7 @@ Row = dict[str, dict[str, Picture]]
 
 
 class ImagePanels(L.Callback):
-    """Writes sheets into a folder, a row for each scene, and logs them as artifacts in `panels/`.
+    """Writes image sheets with one row per scene, and logs them as artifacts in `panels/`.
 
     (MLflow's image charts list all of a run's parameters above the image.)
 
@@ -67,7 +67,7 @@ class ImagePanels(L.Callback):
 
 @torch.no_grad()
 def pictures(network: torch.nn.Module, batch: RaggedBatch, radiance: Tensor) -> Row:
-    """What is shown of a batch's first scene, seen by its first camera.
+    """The pictures of a batch's first scene, from its first camera.
 
     Args:
         network: in evaluation mode.
@@ -96,7 +96,7 @@ def _image(images: Tensor) -> np.ndarray:
 
 
 def _of_all_ranks(rows: dict[int, Row]) -> Sequence[Row]:
-    """Every rank's rows in the order of the scenes; on rank 0 alone, where there are several."""
+    """The rows of all ranks in the order of the scenes; with several ranks, on rank 0 only."""
     everyone = [rows]
     if distributed.is_available() and distributed.is_initialized():
         everyone = [None] * distributed.get_world_size() if distributed.get_rank() == 0 else None

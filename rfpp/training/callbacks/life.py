@@ -15,7 +15,7 @@ from rfpp.losses.life import EXCHANGED_TOKENS, ErrorGrowth
 
 
 class SignsOfLife(L.Callback):
-    """Logs by how much the error of validation grows when one part is made useless, as a share of the error.
+    """Logs the relative growth of the validation error when one part of the network is disabled.
 
     As `life/exchanged_tokens`, `life/permuted_light` and `life/no_transport` (`rfpp.losses.life`): at 0 the part
     could as well be left out. A warning is given, once, when a network does not read its scene tokens. Where there are
@@ -58,7 +58,7 @@ class SignsOfLife(L.Callback):
             self.judge(growth[f"life/{EXCHANGED_TOKENS}"])
 
     def judge(self, growth: float) -> None:
-        """Warn, the first time, of an error that hardly grows with another scene's tokens."""
+        """Warn once if the error hardly grows with another scene's tokens."""
         if growth < self.least and not self._warned:
             self._warned = True
             warnings.warn(

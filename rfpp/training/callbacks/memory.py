@@ -13,7 +13,7 @@ GIB = 2**30
 
 
 class Memory(L.Callback):
-    """Logs gibibytes: on a GPU `memory/allocated` and `memory/peak` since the last time, else `memory/resident`.
+    """Logs GiB: on a GPU `memory/allocated` and `memory/peak` since the last log, else `memory/resident`.
 
     The first two are PyTorch's allocator's, the third is the process's without its loaders.
     """

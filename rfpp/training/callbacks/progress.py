@@ -7,7 +7,7 @@ from lightning.pytorch.callbacks import RichProgressBar
 
 
 class TrainingProgress(RichProgressBar):
-    """Lightning's Rich bar, counting optimizer steps of the run: there are no epochs to speak of (GlobalBatches)."""
+    """Lightning's Rich progress bar over the optimizer steps of the run (`GlobalBatches` has no epochs)."""
 
     def _get_train_description(self, current_epoch: int) -> str:
         return "Training"

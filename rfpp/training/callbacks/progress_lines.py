@@ -11,7 +11,7 @@ from rfpp.progress_lines import ProgressLines
 
 
 class TrainingLines(L.Callback):
-    """A line a minute where the output is a file or a pipe, from the first process; the first one after ten steps.
+    """Prints a line per minute from rank 0 if the output is a file or a pipe; the first after ten steps.
 
     Args:
         every_n_seconds: between lines.

@@ -14,7 +14,7 @@ from rfpp.batch import RaggedBatch
 
 
 class ScoresBySize(L.Callback):
-    """Logs every metric's mean over the validation scenes of a range of triangle counts.
+    """Logs the mean of every metric over validation scenes, by range of triangle counts.
 
     As `validation_log_l1/1000_to_2999_triangles` and so on; ranges without a scene are left out.
 
@@ -55,12 +55,12 @@ class ScoresBySize(L.Callback):
 
 
 def triangles(batch: RaggedBatch) -> list[int]:
-    """Of each scene."""
+    """Triangle counts of a batch's scenes."""
     ends = np.cumsum([0, *batch.scenes.lengths])
     return [sum(batch.objects.lengths[a:b]) for a, b in pairwise(ends)]
 
 
 def labels(edges: Sequence[int]) -> list[str]:
-    """One for each range, in words that MLflow takes and that sort by size."""
+    """Labels of the ranges, valid in MLflow's metric names."""
     inner = [f"{a}_to_{b - 1}_triangles" for a, b in pairwise([0, *edges])]
     return [*inner, f"{edges[-1]}_triangles_and_more"]

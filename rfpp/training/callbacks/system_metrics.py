@@ -12,7 +12,7 @@ MEGABYTE = 1e6
 
 
 class SystemMetrics(L.Callback):
-    """Logs the state of rank 0's machine at training's steps, as `system/…` by MLflow's names, which has a page for it.
+    """Logs system metrics of rank 0's machine as `system/…`, with MLflow's names, for its system page.
 
     MLflow's own monitor ends when its server is away for a moment; these go the way of all other metrics.
 
@@ -47,7 +47,7 @@ class SystemMetrics(L.Callback):
 
 
 class Machine:
-    """What is counted from here on: use of the processor since the last sample, network since the first."""
+    """Counters of one machine: processor use since the last sample, network traffic since the first."""
 
     def __init__(self):
         psutil.cpu_percent()
@@ -55,7 +55,7 @@ class Machine:
         self._gpus = _Gpus()
 
     def sample(self) -> dict[str, float]:
-        """By MLflow's names, which say the units; megabytes are 10⁶ bytes."""
+        """Values by MLflow's names, which include units; megabytes are 10⁶ bytes."""
         memory, disk, network = psutil.virtual_memory(), psutil.disk_usage(os.sep), psutil.net_io_counters()
         return {
             "cpu_utilization_percentage": psutil.cpu_percent(),
@@ -71,7 +71,7 @@ class Machine:
 
 
 class _Gpus:
-    """NVIDIA's, of which there may be none; what a driver does not tell is left out."""
+    """NVIDIA GPUs, if any; values that a driver does not report are omitted."""
 
     def __init__(self):
         self._handles = []

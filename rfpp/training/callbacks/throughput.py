@@ -18,7 +18,7 @@ MATRIX_DTYPES = {"bf16": torch.bfloat16, "16-": torch.float16}
 
 
 class Throughput(L.Callback):
-    """Logs what is done per second over all devices, and two shares.
+    """Logs throughput over all devices, the share of time spent waiting for data, and FLOP utilisation.
 
     `throughput/`: steps_per_s, scenes_per_s, images_per_s, triangles_per_s, tokens_per_s (scene tokens and ray
     bundles); data_wait_fraction, of the time; flop_utilisation, what the network's forward and backward passes need

@@ -15,7 +15,7 @@ from rfpp.training.tracking.run_logger import RunLogger
 
 
 class TrackedRun(L.Callback):
-    """Keeps the journal ahead of the checkpoints, and registers the best checkpoint when training is complete.
+    """Flushes the journal before each checkpoint, and registers the best checkpoint when training is complete.
 
     A run that goes on from a checkpoint logs the steps after it, so those before it must be safe by then, this very
     step's too.
@@ -49,7 +49,7 @@ class TrackedRun(L.Callback):
 
 
 def without_training_state(checkpoint: Path, target: Path) -> Path:
-    """Write what it takes to render alone, the weights and what they are of: a third of the size; returns `target`."""
+    """Write only weights and model description, a third of the size; returns `target`."""
     content = torch.load(checkpoint, map_location="cpu", weights_only=True)
     temporary = target.with_suffix(".tmp")
     torch.save({name: content[name] for name in (CHECKPOINT_KEY, "state_dict")}, temporary)

@@ -13,7 +13,7 @@ from rfpp.training.tracking.sending import Sender
 
 
 def main(folders: list[str]) -> int:
-    """Returns the exit status: 1 when something could not be sent."""
+    """Send journals; returns the exit status, 1 if something could not be sent."""
     status = 0
     for folder in folders:
         try:

@@ -13,7 +13,7 @@ from rfpp.training.tracking.journal import Record
 
 
 def log_dataset(client: MlflowClient, run_id: str, record: Record) -> None:
-    """Log a data set as the run's input; the digest is as much of the manifest's hash as MLflow takes."""
+    """Log a data set as the run's input; the digest is the manifest's hash, truncated to MLflow's limit."""
     kind, key = ("http", "url") if record["source"].startswith(("http://", "https://")) else ("local", "uri")
     dataset = Dataset(
         name=record["name"],

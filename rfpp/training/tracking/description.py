@@ -63,12 +63,12 @@ def code_version() -> str | None:
 
 
 def code_changes() -> str:
-    """How the checkout's files differ from its commit, as a patch; empty when they do not."""
+    """Uncommitted changes of the checkout as a patch; empty if there are none."""
     return _git("diff", "HEAD", "--binary") or ""
 
 
 def _git(*arguments: str) -> str | None:
-    """What git prints about this checkout; None outside a repository, and where only another project's is around."""
+    """Output of a git command in this checkout; None outside a repository, or inside another project's."""
     if is_installed():
         return None
     try:

@@ -66,7 +66,7 @@ class Journal:
             self.append("parameters", values=new)
 
     def append(self, kind: str, **content: Any) -> None:
-        """Raises UserError when the disk is full and the like."""
+        """Append a record. Raises UserError if it cannot be written (full disk)."""
         record = {"kind": kind, "time": int(time.time() * 1000), **content}
         with self._lock:
             try:
@@ -76,7 +76,7 @@ class Journal:
             self._remember(record)
 
     def sync(self) -> None:
-        """Return when all is on the disk itself. A checkpoint must not outlive the records of the steps before it."""
+        """Flush to disk. A checkpoint must not outlive the records of the steps before it."""
         os.fsync(self._file.fileno())
 
     def close(self) -> None:

@@ -16,7 +16,7 @@ TABLE = "metrics.csv"
 
 
 class LocalLogger(RunLogger):
-    """Writes into the run folder's journal and, with every checkpoint and at the end, its metrics as metrics.csv.
+    """Writes to the run folder's journal and, with every checkpoint and at the end, metrics.csv.
 
     Needs no MLflow. The journal is the same, so that MLflow gets all of the run when it goes on with `logger=mlflow`.
 

@@ -17,7 +17,7 @@ SECONDS_BEFORE_A_KILL = 5.0
 
 
 class RunFolderLogger(RunLogger):
-    """Writes into the run folder's journal, which a thread sends to MLflow.
+    """Writes to the run folder's journal, which a thread sends to MLflow.
 
     A run folder is one MLflow run: who trains on in it logs on in it, with no step missing and none twice. MLflow may
     be slow or away: training does not wait, and what MLflow lacks at the end is sent by
@@ -87,7 +87,7 @@ class RunFolderLogger(RunLogger):
         return f"{run} at {self.tracking_uri}"
 
     def will_go_on(self) -> None:
-        """The run ends early; what is left is sent when it is resumed, instead of waiting now."""
+        """Note that the run is stopped early; the rest of the journal is sent when it resumes, instead of now."""
         super().will_go_on()
         self.patience = min(self.patience, SECONDS_BEFORE_A_KILL)
 

@@ -34,7 +34,7 @@ class RunLogger(Logger):
 
     @cached_property
     def _journal(self) -> Journal:
-        """On rank 0 alone, by what is asked or logged first: a run that is refused before then is no run."""
+        """Created on rank 0 at the first access; a run that fails before then leaves no journal."""
         return self._begun()
 
     def _begun(self) -> Journal:
@@ -44,17 +44,17 @@ class RunLogger(Logger):
 
     @abstractmethod
     def _end(self) -> None:
-        """The journal is complete."""
+        """Called when the journal is complete."""
 
     @property
     @abstractmethod
     def kept(self) -> str:
-        """In what is said when training starts: where metrics are kept, on rank 0."""
+        """Where metrics are stored, for the start summary on rank 0."""
 
     @property
     @abstractmethod
     def whereabouts(self) -> str:
-        """A line of what is said when training has ended: where to look at the run, on rank 0."""
+        """Where to view the run, for the end summary on rank 0."""
 
     @property
     def name(self) -> str:
@@ -123,7 +123,7 @@ class RunLogger(Logger):
         self._journal.sync()
 
     def will_go_on(self) -> None:
-        """The run ends early and will be resumed in this folder."""
+        """Note that the run is stopped early and will be resumed in this folder."""
         self._statuses["failed"] = "KILLED"
 
     @rank_zero_only
@@ -135,5 +135,5 @@ class RunLogger(Logger):
         self._end()
 
     def _inside(self, path: Path) -> str:
-        """Relative to the run folder, which may move."""
+        """The path relative to the run folder, which may be moved."""
         return str(Path(path).absolute().relative_to(self.run_dir.absolute()))

@@ -29,7 +29,7 @@ MAX_SECONDS_BETWEEN_TRIES = 30.0
 
 
 class Sender(threading.Thread):
-    """Sends a run folder's journal, from where the last one stopped, until it is closed.
+    """Sends a run folder's journal, continuing where the last sender stopped, until it is closed.
 
     Whatever was sent but not yet noted as sent when a process died is sent again: to MLflow an equal metric (key,
     value, step, time) is the same metric, and everything else is replaced by itself.
@@ -144,7 +144,7 @@ class Sender(threading.Thread):
 
 
 def _batches(path: Path, start: int) -> Iterator[tuple[list[Record], int]]:
-    """Records with the byte where the next ones begin: metrics as many together as MLflow takes, others alone."""
+    """Batches of records, each with the byte offset of the next: metrics up to MLflow's batch limit, others singly."""
     batch, count, end = [], 0, start
     for record, following in records(path, start):
         is_metrics = record["kind"] == "metrics"

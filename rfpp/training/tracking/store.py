@@ -45,7 +45,7 @@ SHOWN_AS = {"mlflow.experimentKind": "custom_model_development"}
 
 @dataclass(frozen=True)
 class Target:
-    """The MLflow run of a run folder, kept in a file there.
+    """The MLflow run of a run folder, stored in a file in it.
 
     Attributes:
         folder_id: of the run folder; the tag FOLDER_TAG of its run.
@@ -115,7 +115,7 @@ def _experiment(client: MlflowClient, name: str, artifact_location: str | None) 
 
 
 def _parent_run(client: MlflowClient, experiment: str, name: str) -> str:
-    """The id of the run of this name that holds others; the first that names it makes it."""
+    """The id of the parent run with this name, which is created if it does not exist."""
     holds_others = f"tags.holds_runs = 'true' and attributes.run_name = '{name}'"
 
     def oldest() -> str | None:
