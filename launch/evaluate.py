@@ -20,13 +20,13 @@ from rfpp.errors import UserError
 from rfpp.evaluation.measuring.buckets import bucketed
 from rfpp.evaluation.measuring.confidence import Bootstrap, split_estimates
 from rfpp.evaluation.measuring.csv_files import write_buckets, write_records, write_summary
+from rfpp.evaluation.measuring.disabled_parts import growth_by_part, growth_text
 from rfpp.evaluation.measuring.evaluate import baseline_records, fitted_baselines, network_records, render_stored
 from rfpp.evaluation.measuring.evaluation_file import Evaluation
 from rfpp.evaluation.measuring.records import ImageRecord, scene_records
-from rfpp.evaluation.measuring.signs_of_life import life_text, signs_of_life
 from rfpp.evaluation.measuring.training_cost import TrainingCost
 from rfpp.evaluation.report.evaluation_report import write_report
-from rfpp.evaluation.report.pictures import write_pictures
+from rfpp.evaluation.report.picture_archive import write_pictures
 from rfpp.evaluation.report.ranking import pictured_scenes, ranked_scenes
 from rfpp.evaluation.report.scene_panels import first_view, save_scene_panel
 from rfpp.evaluation.tables.terminal import results_table
@@ -99,7 +99,7 @@ def _evaluate(
     with progress_bars(console) as bar:
         for split in splits:
             mine = network_records(network, split, metrics, device, bar(f"{split.split}, model", len(split)))
-            life[split.split] = signs_of_life(network, split, device, cfg.evaluation.life_scenes)
+            life[split.split] = growth_by_part(network, split, device, cfg.evaluation.life_scenes)
             scenes = scene_records(mine)
             shown = pictured_scenes(scenes, cfg.evaluation.pictured_scenes)
             views = {index: first_view(render_stored(network, split, index, device)) for index in shown}
@@ -118,7 +118,7 @@ def _evaluate(
     console.print(results_table(means, buckets))
     for split, shares in life.items():
         if shares:
-            console.print(f"{split}: {life_text(shares)}", soft_wrap=True)
+            console.print(f"{split}: {growth_text(shares)}", soft_wrap=True)
     console.print(f"Report: {report}", soft_wrap=True)
     console.print(f"Per image, per scene, summary, buckets and panels: {output}", soft_wrap=True)
     console.print(log_to_training_run(info, evaluation, [*files, report]), soft_wrap=True)

@@ -25,8 +25,8 @@ from rfpp.commands import entry_point
 from rfpp.errors import ShardError, UserError
 from rfpp.imaging.panels import save_png
 from rfpp.progress import counting
-from rfpp.scene.sampling.objects.building import prepare
 from rfpp.scene.sampling.objects.library import INDEX, Library
+from rfpp.scene.sampling.objects.library_building import prepare
 from rfpp.scene.sampling.objects.prepared import PreparedObjects
 from rfpp.shards.dataset import find_sample
 from rfpp.shards.export import export

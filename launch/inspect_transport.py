@@ -14,7 +14,7 @@ from rich.console import Console
 
 from rfpp.checkpoint.loading import load_network
 from rfpp.commands import entry_point, required
-from rfpp.evaluation.measuring.transport import trace_transport
+from rfpp.evaluation.measuring.transport_convergence import trace_transport
 from rfpp.evaluation.report.transport_report import write_transport_report
 from rfpp.progress import progress_bars
 from rfpp.shards.dataset import ShardSplit

@@ -10,7 +10,7 @@ from nbclient import NotebookClient
 from small_data import make
 from training_runs import train
 
-from rfpp.training.tracking.store import store_uri
+from rfpp.training.tracking.mlflow_run import store_uri
 
 ROOT = Path(__file__).parents[1]
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))

@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
-from rfpp.benchmark.exhibits import Drawn, Stored
+from rfpp.benchmark.exhibits import SampledScene, SceneFile
 from rfpp.files import write_atomically
 from rfpp.inference.references import Traced, path_traced
 from rfpp.inference.renderer import Renderer
@@ -61,7 +61,7 @@ class Taken:
 
 def measure(
     checkpoint: str,
-    exhibits: Sequence[Stored | Drawn],
+    exhibits: Sequence[SceneFile | SampledScene],
     resolution: int,
     light_samples: Sequence[int],
     samples: Sequence[int],

@@ -16,7 +16,7 @@ from rfpp.shards.job import SceneSource
 
 
 @dataclass(frozen=True)
-class Stored:
+class SceneFile:
     """A scene file, seen by one of its cameras.
 
     Attributes:
@@ -48,7 +48,7 @@ class Stored:
 
 
 @dataclass(frozen=True)
-class Drawn:
+class SampledScene:
     """A test scene of a family.
 
     Attributes:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from rfpp.benchmark.exhibits import Drawn, Stored
+from rfpp.benchmark.exhibits import SampledScene, SceneFile
 from rfpp.imaging.panels import error_map, panel, save_png, tone_mapped
 from rfpp.inference.references import path_traced
 from rfpp.inference.renderer import Renderer
@@ -22,7 +22,7 @@ Row = dict[str, str | int | float]
 
 def measure(
     checkpoint: str,
-    exhibits: Sequence[Stored | Drawn],
+    exhibits: Sequence[SceneFile | SampledScene],
     resolution: int,
     reference: CyclesSettings,
     picture: Path | str,

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rfpp.benchmark.exhibits import Stored
+from rfpp.benchmark.exhibits import SceneFile
 from rfpp.benchmark.spheres import sphere
 from rfpp.inference.renderer import Renderer
 from rfpp.scene.packed import PackedScene
@@ -30,7 +30,7 @@ class Relit:
     """
 
     title: str
-    stored: Stored
+    stored: SceneFile
     lights: int
     triangles: int
 
@@ -52,7 +52,7 @@ class Coated:
     """
 
     title: str
-    stored: Stored
+    stored: SceneFile
     mirrors: bool
 
     def scene(self) -> PackedScene:
@@ -69,7 +69,7 @@ class Coated:
 
 def measure(
     checkpoint: str,
-    scenes: Sequence[Stored | Relit | Coated],
+    scenes: Sequence[SceneFile | Relit | Coated],
     resolution: int,
     rounds: int,
     progress: Callable[[int, int], None],

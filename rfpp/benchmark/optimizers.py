@@ -15,7 +15,7 @@ from hydra.utils import instantiate
 from rfpp.batch import RaggedBatch
 from rfpp.benchmark.cost.rows import Row, read_rows
 from rfpp.benchmark.cost.tasks import Setting
-from rfpp.checkpoint.building import build
+from rfpp.checkpoint.network_building import build
 from rfpp.imaging.radiance import log_decode
 from rfpp.metrics.image import log_l1
 from rfpp.model.renderformer_pp import RenderFormerPP

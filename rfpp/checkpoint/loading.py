@@ -11,8 +11,8 @@ import torch
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 from torch import nn
 
-from rfpp.checkpoint.building import build_network, require_fitting
 from rfpp.checkpoint.model_folder import CONFIG_FILE, folder_of, names_folder, read_folder
+from rfpp.checkpoint.network_building import build_network, require_fitting
 from rfpp.checkpoint.released_weights import released, with_folded_texture
 from rfpp.checkpoint.renamed import with_current_names
 from rfpp.errors import CheckpointError

@@ -7,8 +7,8 @@ from pathlib import Path
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from rfpp.losses.log_l1 import log_l1
 from rfpp.losses.perceptual import PerceptualLoss
-from rfpp.losses.radiance import log_l1
 from rfpp.losses.transport_consistency import TransportConsistency
 from rfpp.segments import Segments
 

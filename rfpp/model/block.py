@@ -10,8 +10,8 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from rfpp.model.attention import AttentionPattern, attend
+from rfpp.model.autocast import as_multiplied
 from rfpp.model.encoding import Rotation, rotate
-from rfpp.model.precision import as_multiplied
 
 NORM_EPS = 1e-6
 #: What RenderFormer's embeddings add: PyTorch's default in float32. (In bfloat16 it would be 0.0078.)

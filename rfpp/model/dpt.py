@@ -9,7 +9,7 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from rfpp.model.precision import in_float32
+from rfpp.model.autocast import in_float32
 
 LEVELS = 4
 #: Where training starts: about the mean of log10(1 + radiance). At zero, ELU's flat side would swallow the gradient.

@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from rfpp.model.precision import as_multiplied
+from rfpp.model.autocast import as_multiplied
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from rfpp.gbuffer.first_hit import GATHERED_CHANNELS
+from rfpp.model.autocast import in_float32
 from rfpp.model.cell_gathering import CellGathering, EvenGathering
-from rfpp.model.precision import in_float32
 from rfpp.model.tokenizer import SceneTokens
 from rfpp.model.view_channels import ViewChannels
 from rfpp.model.view_decoder import ViewDecoder, means, repeated

@@ -10,12 +10,12 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from rfpp.model.autocast import in_float32
 from rfpp.model.block import NORM_EPS, RMSNorm, SwiGLU
 from rfpp.model.bounces import DullBounce, light_after
 from rfpp.model.form_factors import CastFormFactors, UnoccludedFormFactors, divergence
 from rfpp.model.irradiance import CastIrradiance, CoupledIrradiance
 from rfpp.model.lit_cells import LitCells, Reflectance
-from rfpp.model.precision import in_float32
 from rfpp.model.tokenizer import SceneTokens
 from rfpp.model.transport import Transported, TransportStates, UnconstrainedTransport
 from rfpp.packed_cells import PackedCells

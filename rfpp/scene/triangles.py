@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from rfpp.errors import SceneError
 from rfpp.scene.mesh import Mesh, has_area, normalized, without_degenerate_faces
-from rfpp.scene.shading import corner_normals, shading_groups
+from rfpp.scene.shading_normals import corner_normals, shading_groups
 from rfpp.scene.spec import Material, Scene, SceneObject, Vector
 
 #: Columns of `SceneTriangles.material`.

@@ -4,7 +4,7 @@
 |---|---|---|
 | GET / | | JSON: `protocol`, `network` |
 | POST /scenes | a GLB file | JSON: `scene`, a name for it, and `notes` on what could not be taken as it is |
-| POST /pictures | JSON, see `rfpp.serve.asked` | float32 [height, width, 4], little-endian: radiance and alpha |
+| POST /pictures | JSON, see `render_request` | float32 [height, width, 4], little-endian: radiance and alpha |
 
 Errors are JSON: `error`, one line. 404 is a scene that is not known any longer. Row 0 of a picture is on top. Every
 request has the header `Rfpp-Protocol`; a web page cannot send it without asking first, and is not answered.
@@ -26,7 +26,7 @@ from typing import Any
 
 from rfpp.errors import UserError, one_line
 from rfpp.own_machine import refusal
-from rfpp.serve.asked import Asked
+from rfpp.serve.render_request import Asked
 from rfpp.serve.studio import Left, Studio, UnknownScene
 
 #: Raised when requests or answers change.

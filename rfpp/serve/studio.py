@@ -13,9 +13,9 @@ from jaxtyping import Float
 from rfpp.gbuffer.first_hit import first_hit
 from rfpp.inference.renderer import Renderer
 from rfpp.scene.packed import PackedScene
-from rfpp.serve.asked import Asked
-from rfpp.serve.received import Received, ReceivedScenes
-from rfpp.serve.window import Frame
+from rfpp.serve.image_window import Frame
+from rfpp.serve.render_request import Asked
+from rfpp.serve.sent_scenes import Received, ReceivedScenes
 
 #: Seconds after which one who waits is looked after.
 _GLANCE = 0.1

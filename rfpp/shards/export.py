@@ -21,7 +21,7 @@ from rfpp.scene.io.renderformer_h5 import save_h5
 from rfpp.scene.io.renderformer_json import save_json
 from rfpp.scene.mesh import Mesh
 from rfpp.scene.packed import PackedScene
-from rfpp.scene.shading import corner_normals
+from rfpp.scene.shading_normals import corner_normals
 from rfpp.scene.spec import Camera, Material, Scene, SceneObject, Transform
 from rfpp.scene.triangles import DIFFUSE, EMISSION, ROUGHNESS, SPECULAR, SceneTriangles
 from rfpp.shards.sample import SceneSample

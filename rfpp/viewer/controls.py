@@ -19,13 +19,13 @@ from rfpp.scene.io.saving import fits_json, save_scene
 from rfpp.scene.packed import PackedScene, pack
 from rfpp.scene.spec import Camera, Scene, SceneObject
 from rfpp.viewer.comparison import COMPARISONS
+from rfpp.viewer.control_values import choice, colour, number, vector
 from rfpp.viewer.edits import moved, power, quaternion, remade, replaced, shining, tint, turned
 from rfpp.viewer.layers import Layer
 from rfpp.viewer.picked_colour import from_picker, to_picker
-from rfpp.viewer.received import choice, colour, number, vector
 from rfpp.viewer.reference import PathTracer, Reference
 from rfpp.viewer.session import Drawn, Session
-from rfpp.viewer.window import camera_of
+from rfpp.viewer.viser_cameras import camera_of
 
 #: Name → how it is made for `stops` of exposure.
 ToneMaps = Mapping[str, Callable[..., ToneMap]]

@@ -20,7 +20,7 @@ from rfpp.viewer.guard import guarded
 from rfpp.viewer.layers import layers_of
 from rfpp.viewer.reference import PathTracer
 from rfpp.viewer.session import Drawn, Session, View
-from rfpp.viewer.window import aspect_of, camera_of, cameras_of, stand_at
+from rfpp.viewer.viser_cameras import aspect_of, camera_of, cameras_of, stand_at
 
 #: Visitors turn about this point, the middle of every scene.
 CENTRE = (0.0, 0.0, 0.0)

@@ -13,7 +13,7 @@ from small_data import REFERENCE
 
 from rfpp.benchmark.equal_time import FilmSettings, dimmed, measure, orbit
 from rfpp.benchmark.equal_time_plot import main, plot
-from rfpp.benchmark.exhibits import Stored
+from rfpp.benchmark.exhibits import SceneFile
 from rfpp.errors import UserError
 from rfpp.inference.renderer import Renderer
 from rfpp.scene.io.saving import save_scene
@@ -52,7 +52,7 @@ def test_a_row_for_each_scene_and_method_and_references_are_rendered_once(tmp_pa
         return list(
             measure(
                 str(tmp_path / "net"),
-                [Stored("six", path)],
+                [SceneFile("six", path)],
                 16,
                 [16],
                 [1, 8],

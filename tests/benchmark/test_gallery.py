@@ -8,7 +8,7 @@ from networks import checkpoint_info, network
 from PIL import Image
 from small_data import BoxFamily
 
-from rfpp.benchmark.exhibits import Drawn, Stored
+from rfpp.benchmark.exhibits import SampledScene, SceneFile
 from rfpp.benchmark.gallery import measure
 from rfpp.errors import UserError
 from rfpp.inference.renderer import Renderer
@@ -22,21 +22,21 @@ def stored(tmp_path):
 
 
 def test_exhibits_are_seen_by_one_camera_and_may_be_moved(stored):
-    still = Stored("still", stored, camera=1).scene()
+    still = SceneFile("still", stored, camera=1).scene()
     assert still.c2w.shape == (1, 4, 4)
     name = scene().objects[1].name
-    away = Stored("moved", stored, camera=1, moved={name: (0.3, 0.2, 0.1)}).scene()
+    away = SceneFile("moved", stored, camera=1, moved={name: (0.3, 0.2, 0.1)}).scene()
     rows = still.triangles.object_index == 1
     shift = away.triangles.positions - still.triangles.positions
     assert np.abs(shift[rows][0, 0]).max() > 0.01
     np.testing.assert_allclose(shift[rows], np.broadcast_to(shift[rows][0, 0], shift[rows].shape), atol=1e-6)
     np.testing.assert_array_equal(shift[~rows], 0)
     with pytest.raises(UserError, match="has no object 'ghost'"):
-        Stored("ghost", stored, moved={"ghost": (0, 0, 0)}).scene()
+        SceneFile("ghost", stored, moved={"ghost": (0, 0, 0)}).scene()
 
 
 def test_drawn_exhibits_are_the_same_every_time():
-    one, two, other = (Drawn("drawn", BoxFamily(), seed).scene() for seed in (3, 3, 4))
+    one, two, other = (SampledScene("drawn", BoxFamily(), seed).scene() for seed in (3, 3, 4))
     np.testing.assert_array_equal(one.triangles.positions, two.triangles.positions)
     assert not np.array_equal(one.triangles.positions, other.triangles.positions)
 
@@ -50,7 +50,7 @@ def test_a_row_and_a_line_of_pictures_for_each(stored, tmp_path):
         seed=0, threads=1,
     )  # fmt: skip
     made = []
-    exhibits = [Stored("six", stored), Drawn("drawn", BoxFamily(), 0)]
+    exhibits = [SceneFile("six", stored), SampledScene("drawn", BoxFamily(), 0)]
     rows = list(measure(str(tmp_path / "net"), exhibits, 16, settings, tmp_path / "g.png", lambda *n: made.append(n)))
     assert made == [(1, 2), (2, 2)]
     assert [row["scene"] for row in rows] == ["six", "drawn"]

@@ -5,12 +5,12 @@ import pytest
 from networks import checkpoint_info, network
 
 from rfpp.benchmark import lights
-from rfpp.benchmark.exhibits import Stored
+from rfpp.benchmark.exhibits import SceneFile
 from rfpp.benchmark.lights import Coated, Relit, measure, with_one_small_light
 from rfpp.inference.renderer import Renderer
 from rfpp.scene.triangles import DIFFUSE, EMISSION, ROUGHNESS, SPECULAR, SceneTriangles
 
-STORED = Stored("box", "data/scenes/cornell_box.json")
+STORED = SceneFile("box", "data/scenes/cornell_box.json")
 
 
 def power(triangles: SceneTriangles) -> np.ndarray:

@@ -9,8 +9,8 @@ import torch
 from networks import checkpoint_info, model_config, network
 
 from rfpp.checkpoint import renamed
-from rfpp.checkpoint.building import build
 from rfpp.checkpoint.loading import CHECKPOINT_KEY, NETWORK_PREFIX, load_network
+from rfpp.checkpoint.network_building import build
 from rfpp.errors import CheckpointError
 
 

@@ -15,7 +15,7 @@ from rfpp.evaluation.measuring.confidence import Bootstrap, Estimate, split_esti
 from rfpp.evaluation.measuring.csv_files import write_buckets, write_records
 from rfpp.evaluation.measuring.evaluation_file import Evaluation
 from rfpp.evaluation.measuring.records import ImageRecord, SceneRecord, scene_records
-from rfpp.evaluation.report.pictures import write_pictures
+from rfpp.evaluation.report.picture_archive import write_pictures
 from rfpp.evaluation.tables.paper import PAPER_METRICS
 from rfpp.gbuffer.first_hit import stack_channels
 from rfpp.imaging.radiance import log_encode

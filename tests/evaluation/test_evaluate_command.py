@@ -11,8 +11,8 @@ from networks import checkpoint_info
 from omegaconf import OmegaConf
 
 from launch.evaluate import main
-from rfpp.checkpoint.building import build
 from rfpp.checkpoint.loading import CHECKPOINT_KEY, NETWORK_PREFIX
+from rfpp.checkpoint.network_building import build
 from rfpp.commands import CONFIG_DIR
 from rfpp.evaluation.measuring.evaluation_file import Evaluation
 from rfpp.shards.manifest import Manifest

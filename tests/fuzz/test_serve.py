@@ -8,9 +8,9 @@ from mutations import altered, damaged, dumped
 from serving import VIEW, scene
 
 from rfpp.errors import SceneError
-from rfpp.serve.asked import Asked
-from rfpp.serve.received import Received
-from rfpp.serve.window import Frame
+from rfpp.serve.image_window import Frame
+from rfpp.serve.render_request import Asked
+from rfpp.serve.sent_scenes import Received
 
 pytestmark = pytest.mark.timeout(36_000)  # of thousands
 

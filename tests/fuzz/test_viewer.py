@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from mutations import JSON_VALUES
 
 from rfpp.own_machine import refusal
-from rfpp.viewer.received import choice, colour, number, vector
+from rfpp.viewer.control_values import choice, colour, number, vector
 
 pytestmark = pytest.mark.timeout(36_000)  # of thousands
 

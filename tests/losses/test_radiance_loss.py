@@ -2,7 +2,7 @@ import pytest
 import torch
 
 from rfpp.imaging.radiance import log_encode
-from rfpp.losses.radiance import log_l1
+from rfpp.losses.log_l1 import log_l1
 
 
 def test_is_zero_where_the_prediction_encodes_the_target() -> None:

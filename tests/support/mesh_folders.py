@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
-from rfpp.scene.sampling.objects.building import one_by_one, prepare
 from rfpp.scene.sampling.objects.folder import FolderObjects
 from rfpp.scene.sampling.objects.library import Library
+from rfpp.scene.sampling.objects.library_building import one_by_one, prepare
 from rfpp.scene.sampling.objects.preparation import Preparation
 
 GOOD = ("ball.obj", "rings/ring.ply", "rings/deep/capsule.stl", "table.glb", "box.gltf", "cone.OBJ")

@@ -15,11 +15,11 @@ from rfpp.batch import RaggedBatch
 from rfpp.checkpoint.loading import load_network
 from rfpp.commands import CONFIG_DIR
 from rfpp.errors import CheckpointError
-from rfpp.losses.life import EXCHANGED_TOKENS, donated, impaired
-from rfpp.losses.radiance import log_l1
+from rfpp.losses.error_growth import EXCHANGED_TOKENS, donated, impaired
+from rfpp.losses.log_l1 import log_l1
 from rfpp.shards.dataset import ShardSplit
 from rfpp.shards.views import select_views
-from rfpp.training.callbacks.life import SignsOfLife
+from rfpp.training.callbacks.part_use import PartUse
 from rfpp.training.tracking.registry import checkpoint_file
 
 STEPS = 4
@@ -101,7 +101,7 @@ def test_every_validation_asks_which_parts_are_alive(tracked):
 
 
 def test_a_network_that_does_not_read_its_tokens_is_warned_of_once():
-    signs = SignsOfLife(scenes=4, least=0.05)
+    signs = PartUse(scenes=4, least=0.05)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         signs.judge(0.2)

@@ -15,7 +15,7 @@ from torch.utils.flop_counter import FlopCounterMode
 
 from rfpp.allocator import keep_freed_memory
 from rfpp.batch import RaggedBatch
-from rfpp.checkpoint.building import build
+from rfpp.checkpoint.network_building import build
 from rfpp.errors import UserError
 from rfpp.inference.object_encoder import ObjectEncoder
 from rfpp.losses.rendering import RenderingLoss

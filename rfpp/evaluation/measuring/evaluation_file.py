@@ -36,7 +36,7 @@ class Evaluation:
         definitions: by metric name: the formula with its tone map and epsilon.
         means: by split, predictor ("model" or a baseline's name) and metric.
         cost: of training, where it is known.
-        life: by split, see `rfpp.evaluation.measuring.signs_of_life`; empty in evaluations that were made without.
+        life: by split, see `rfpp.evaluation.measuring.disabled_parts`; empty in evaluations that were made without.
     """
 
     method: str

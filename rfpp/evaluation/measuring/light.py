@@ -15,8 +15,8 @@ from torch import Tensor, nn
 from rfpp.evaluation.measuring.clean_views import POINTS, CleanScene, clean_scene
 from rfpp.evaluation.measuring.confidence import INTERVAL, Estimate
 from rfpp.imaging.radiance import log_decode, log_encode
-from rfpp.losses.life import donated, impaired
-from rfpp.losses.radiance import log_l1
+from rfpp.losses.error_growth import donated, impaired
+from rfpp.losses.log_l1 import log_l1
 from rfpp.model.radiosity import UnlearnedRadiosity
 from rfpp.shards.dataset import ShardSplit
 
@@ -27,7 +27,7 @@ AS_IT_IS = "as_it_is"
 
 @dataclass
 class LightErrors:
-    """Errors of one predictor on S scenes, unchanged and with parts disabled (`rfpp.losses.life`).
+    """Errors of one predictor on S scenes, unchanged and with parts disabled (`rfpp.losses.error_growth`).
 
     Attributes:
         wrong: by what was done, of every scene Σ |m(x) − m(y)|, m the means over squares of what was added to known

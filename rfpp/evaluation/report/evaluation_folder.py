@@ -11,7 +11,7 @@ from rfpp.evaluation.measuring.buckets import Bucket
 from rfpp.evaluation.measuring.csv_files import read_buckets, read_scenes
 from rfpp.evaluation.measuring.evaluation_file import EVALUATION_FILE, Evaluation, require_known_metrics
 from rfpp.evaluation.measuring.records import MODEL, SceneRecord
-from rfpp.evaluation.report.pictures import PICTURES_FILE, StoredPictures, read_pictures
+from rfpp.evaluation.report.picture_archive import PICTURES_FILE, StoredPictures, read_pictures
 
 
 @dataclass(frozen=True)

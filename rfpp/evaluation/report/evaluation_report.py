@@ -23,7 +23,7 @@ from rfpp.evaluation.measuring.number_text import best_value
 from rfpp.evaluation.measuring.records import MODEL, SceneRecord
 from rfpp.evaluation.report.evaluation_folder import StoredEvaluation
 from rfpp.evaluation.report.page import page
-from rfpp.evaluation.report.pictures import MAX_PIXELS, StoredPicture
+from rfpp.evaluation.report.picture_archive import MAX_PIXELS, StoredPicture
 from rfpp.evaluation.report.plots import distribution_plot, size_plot
 from rfpp.evaluation.report.ranking import RANKED_BY, places, ranking
 from rfpp.files import write_atomically

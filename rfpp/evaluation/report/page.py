@@ -8,7 +8,7 @@ import json
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from rfpp.evaluation.measuring.number_text import interval_text, number_text
-from rfpp.evaluation.report.pictures import StoredPicture
+from rfpp.evaluation.report.picture_archive import StoredPicture
 from rfpp.metrics.image import METRICS
 
 _PAGES = Environment(

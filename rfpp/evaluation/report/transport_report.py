@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from rfpp.checkpoint.loading import CheckpointInfo
-from rfpp.evaluation.measuring.transport import TransportTrace
+from rfpp.evaluation.measuring.transport_convergence import TransportTrace
 from rfpp.evaluation.report.page import page
 from rfpp.files import write_atomically
 from rfpp.imaging.panels import error_map, panel, save_png, tone_mapped

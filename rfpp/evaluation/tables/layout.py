@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rfpp.evaluation.measuring.disabled_parts import growth_text
 from rfpp.evaluation.measuring.evaluation_file import Evaluation
 from rfpp.evaluation.measuring.number_text import EMPTY, interval_text, number_text
-from rfpp.evaluation.measuring.signs_of_life import life_text
 from rfpp.evaluation.tables.rows import ResultTable, Row, Run
 from rfpp.metrics.image import METRICS
 
@@ -113,7 +113,7 @@ def _description(run: Run) -> str:
 def _life(run: Run) -> str:
     """Use of network parts by the first seed's network, on the last split."""
     of_splits = list(run.evaluations[0].life.values())
-    return f" Seed {run.evaluations[0].seed}: {life_text(of_splits[-1])}." if of_splits and of_splits[-1] else ""
+    return f" Seed {run.evaluations[0].seed}: {growth_text(of_splits[-1])}." if of_splits and of_splits[-1] else ""
 
 
 def _data(e: Evaluation) -> str:

@@ -4,16 +4,16 @@ Everything is here that runs inside Blender; a program of its own that imports n
 Blender, NumPy and the standard library.
 """
 
-from . import engine, panels
+from . import engine, settings_panels
 
 
 def register() -> None:
     """Called by Blender."""
-    panels.register()
+    settings_panels.register()
     engine.register()
 
 
 def unregister() -> None:
     """Called by Blender."""
     engine.unregister()
-    panels.unregister()
+    settings_panels.unregister()

@@ -9,10 +9,10 @@ import bpy
 import numpy as np
 
 from .client import Server, ServerError, View
-from .export import exported
 from .jobs import Job, Newest
-from .panels import ENGINE, address
-from .views import NoView, Window, camera_window, part_of, rows_of, shrunk, square_pixels, window_of
+from .scene_export import exported
+from .settings_panels import ENGINE, address
+from .viewport import NoView, Window, camera_window, part_of, rows_of, shrunk, square_pixels, window_of
 
 #: Seconds between looks at whether a picture has come, or nobody wants it any longer.
 _GLANCE = 0.05

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from .client import Cancelled, Request, Server, ServerError, View
-from .views import shrunk
+from .viewport import shrunk
 
 #: Pixels along the longer side of the smallest picture, and seconds that one may take while the view changes.
 _SMALLEST, _SECONDS = 64, 0.25

@@ -41,10 +41,10 @@ class Materials:
         if material is None:
             return None
         if material.name_full not in self._numbers:
-            self._numbers[material.name_full] = self._glb.add("materials", self._entry(material))
+            self._numbers[material.name_full] = self._glb.add("materials", self._gltf_material(material))
         return self._numbers[material.name_full]
 
-    def _entry(self, material) -> dict:
+    def _gltf_material(self, material) -> dict:
         shader = surface_of(material)
         if shader is not None and shader.type == "BSDF_PRINCIPLED":
             return {"name": material.name} | self._principled(material, shader)

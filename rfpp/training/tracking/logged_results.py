@@ -16,7 +16,7 @@ def log_results(tracking_uri: str, run_id: str, metrics: dict[str, float], files
     """
     from mlflow.exceptions import MlflowException  # late: an evaluation does without, if it must
 
-    from rfpp.training.tracking.store import connected
+    from rfpp.training.tracking.mlflow_run import connected
 
     try:
         client = connected(tracking_uri)

@@ -8,9 +8,9 @@ from pathlib import Path
 from lightning.pytorch.utilities import rank_zero_only
 
 from rfpp.training.tracking.journal import Journal
+from rfpp.training.tracking.mlflow_run import Target
 from rfpp.training.tracking.run_logger import RunLogger
 from rfpp.training.tracking.sending import TARGET, Sender
-from rfpp.training.tracking.store import Target
 
 #: A scheduler that tells a process to stop gives it half a minute or so.
 SECONDS_BEFORE_A_KILL = 5.0

@@ -15,7 +15,7 @@ from mlflow.types import ColSpec, DataType, Schema, TensorSpec
 
 from rfpp.checkpoint.loading import CheckpointInfo, load_network
 from rfpp.errors import CheckpointError
-from rfpp.training.tracking.store import connected, store_uri
+from rfpp.training.tracking.mlflow_run import connected, store_uri
 
 #: Artifact folder of a run's registered model, and the checkpoint's name in it.
 FOLDER, CHECKPOINT = "model", "checkpoint.ckpt"

@@ -17,8 +17,8 @@ from mlflow.utils.validation import MAX_METRICS_PER_BATCH, MAX_PARAMS_TAGS_PER_B
 from rfpp.errors import UserError
 from rfpp.training.tracking.datasets import log_dataset
 from rfpp.training.tracking.journal import JOURNAL, Record, records
+from rfpp.training.tracking.mlflow_run import Target, connected
 from rfpp.training.tracking.models import register
-from rfpp.training.tracking.store import Target, connected
 
 #: What says which MLflow run a run folder's is, beside its journal.
 TARGET = "run.json"

@@ -14,7 +14,7 @@ from rfpp.errors import UserError
 from rfpp.evaluation.measuring.csv_files import read_buckets, read_scenes
 from rfpp.evaluation.measuring.evaluation_file import Evaluation
 from rfpp.evaluation.report.evaluation_report import main, write_report
-from rfpp.evaluation.report.pictures import MAX_PIXELS, read_pictures, write_pictures
+from rfpp.evaluation.report.picture_archive import MAX_PIXELS, read_pictures, write_pictures
 
 SCENES = {"a": (500, 0.1), "b": (2000, 0.4), "c": (800, 0.25)}
 HOSTILE = (

@@ -23,7 +23,7 @@ def test_what_was_written_is_read_where_blender_has_it():
     file.node("Square", pose, mesh=file.add("meshes", {"primitives": [primitive]}))
     lamp = {"type": "spot", "color": [1, 0.5, 0], "intensity": 683.0}
     file.node("Lamp", np.eye(4), extensions=file.light(lamp))
-    camera = addon("views").gltf_camera((-0.5, 0.5, -0.25, 0.25))
+    camera = addon("viewport").gltf_camera((-0.5, 0.5, -0.25, 0.25))
     file.node("Camera", pose, camera=file.add("cameras", camera))
     scene = received_glb(file.content(), Path("scene"))
     [part], [light], [seen] = scene.parts, scene.lamps, scene.cameras

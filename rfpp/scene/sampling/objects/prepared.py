@@ -56,7 +56,7 @@ class Original:
 
 @dataclass(frozen=True)
 class PreparedObjects(ABC):
-    """Objects of a library that `rfpp.scene.sampling.objects.building.prepare` makes.
+    """Objects of a library that `rfpp.scene.sampling.objects.library_building.prepare` makes.
 
     Attributes:
         root: folder of libraries.

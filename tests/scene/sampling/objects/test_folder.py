@@ -12,8 +12,8 @@ from mesh_folders import GOOD, bowl, fill, prepared, source
 from rfpp.errors import SceneError, UserError
 from rfpp.scene.io.mesh_files import load_mesh
 from rfpp.scene.mesh import joined
-from rfpp.scene.sampling.objects.building import one_by_one, prepare
 from rfpp.scene.sampling.objects.library import Library, mesh_path
+from rfpp.scene.sampling.objects.library_building import one_by_one, prepare
 from rfpp.scene.sampling.objects.object_source import ObjectSource
 from rfpp.scene.sampling.objects.refinement import is_closed
 

@@ -7,8 +7,8 @@ import torch
 from network_variants import batch_for
 from networks import network
 
-from rfpp.losses.life import EXCHANGED_TOKENS, NO_TRANSPORT, PERMUTED_LIGHT, ErrorGrowth, donated, impaired
-from rfpp.losses.radiance import log_l1
+from rfpp.losses.error_growth import EXCHANGED_TOKENS, NO_TRANSPORT, PERMUTED_LIGHT, ErrorGrowth, donated, impaired
+from rfpp.losses.log_l1 import log_l1
 
 NETWORKS = {
     "paper": ("experiment=large_scale",),

@@ -7,7 +7,7 @@ import pytest
 import trimesh
 
 from rfpp.scene.mesh import Mesh
-from rfpp.scene.shading import corner_normals, shading_groups
+from rfpp.scene.shading_normals import corner_normals, shading_groups
 
 
 def from_trimesh(shape: trimesh.Trimesh) -> Mesh:

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from rfpp.viewer.received import choice, colour, number, vector
+from rfpp.viewer.control_values import choice, colour, number, vector
 
 SLIDER = {"min": 64, "max": 512}
 

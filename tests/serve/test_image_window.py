@@ -5,7 +5,7 @@ import pytest
 
 from rfpp.errors import SceneError
 from rfpp.scene.camera import pixel_rays
-from rfpp.serve.window import Frame
+from rfpp.serve.image_window import Frame
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ from .left_out import LeftOut
 from .lights import add_light
 from .materials import Materials
 from .nodes import constant, surface_of, tree_of
-from .views import NoView, camera_window, gltf_camera, is_finite
+from .viewport import NoView, camera_window, gltf_camera, is_finite
 
 #: Kinds of objects that have surfaces, as `to_mesh` gives them, and that are nothing to be seen.
 _SURFACES = {"MESH", "CURVE", "SURFACE", "FONT", "META"}

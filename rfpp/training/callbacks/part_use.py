@@ -11,15 +11,15 @@ from torch import Tensor
 
 from rfpp.batch import RaggedBatch
 from rfpp.imaging.radiance import log_encode
-from rfpp.losses.life import EXCHANGED_TOKENS, ErrorGrowth
+from rfpp.losses.error_growth import EXCHANGED_TOKENS, ErrorGrowth
 
 
-class SignsOfLife(L.Callback):
+class PartUse(L.Callback):
     """Logs the relative growth of the validation error when one part of the network is disabled.
 
-    As `life/exchanged_tokens`, `life/permuted_light` and `life/no_transport` (`rfpp.losses.life`): at 0 the part
-    could as well be left out. A warning is given, once, when a network does not read its scene tokens. Where there are
-    several processes, of the first one's scenes.
+    Logged as `life/exchanged_tokens`, `life/permuted_light` and `life/no_transport` (`rfpp.losses.error_growth`). At 0
+    the part is not used. Warns once if a network does not read its scene tokens. With several processes, rank 0's
+    scenes are used.
 
     Args:
         scenes: of validation, at most; the first has no other scene's tokens to be given and is left out.

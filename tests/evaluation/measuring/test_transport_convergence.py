@@ -9,7 +9,7 @@ from networks import checkpoint_info, network
 
 from rfpp.batch import RaggedBatch
 from rfpp.errors import UserError
-from rfpp.evaluation.measuring.transport import trace_transport
+from rfpp.evaluation.measuring.transport_convergence import trace_transport
 from rfpp.evaluation.report.transport_report import write_transport_report
 from rfpp.imaging.radiance import log_decode
 from rfpp.losses.transport_consistency import TransportConsistency

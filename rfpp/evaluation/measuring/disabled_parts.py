@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import torch
 
 from rfpp.batch import RaggedBatch
-from rfpp.losses.life import EXCHANGED_TOKENS, NO_TRANSPORT, PERMUTED_LIGHT, ErrorGrowth
+from rfpp.losses.error_growth import EXCHANGED_TOKENS, NO_TRANSPORT, PERMUTED_LIGHT, ErrorGrowth
 from rfpp.model.renderformer_pp import RenderFormerPP
 from rfpp.shards.dataset import ShardSplit
 from rfpp.shards.views import AllViews
@@ -21,7 +21,7 @@ HEADINGS = {
 
 
 @torch.no_grad()
-def signs_of_life(network: RenderFormerPP, split: ShardSplit, device: torch.device, scenes: int) -> dict[str, float]:
+def growth_by_part(network: RenderFormerPP, split: ShardSplit, device: torch.device, scenes: int) -> dict[str, float]:
     """Relative growth of log-L1 with each part disabled; empty for a single scene.
 
     Args:
@@ -35,6 +35,6 @@ def signs_of_life(network: RenderFormerPP, split: ShardSplit, device: torch.devi
     return growth.shares()
 
 
-def life_text(shares: Mapping[str, float]) -> str:
+def growth_text(shares: Mapping[str, float]) -> str:
     """E.g. "log-L1 with other scenes' tokens +2%, without transport +108%"."""
     return "log-L1 " + ", ".join(f"{HEADINGS[what]} {share:+.0%}" for what, share in shares.items())

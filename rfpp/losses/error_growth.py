@@ -10,7 +10,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from rfpp.batch import RaggedBatch
-from rfpp.losses.radiance import log_l1
+from rfpp.losses.log_l1 import log_l1
 from rfpp.model.renderformer_pp import RenderFormerPP
 from rfpp.model.tokenizer import SceneTokens
 from rfpp.packed_cells import LIGHT, PackedCells

@@ -3,7 +3,7 @@
 import numpy as np
 from addon_modules import addon
 
-views = addon("views")
+viewport = addon("viewport")
 
 
 def frustum(left: float, right: float, bottom: float, top: float, near: float = 0.1, far: float = 100.0) -> np.ndarray:
@@ -19,20 +19,20 @@ def frustum(left: float, right: float, bottom: float, top: float, near: float = 
 
 
 def test_a_projection_shows_its_frustum():
-    np.testing.assert_allclose(views.window_of(frustum(-0.05, 0.03, -0.02, 0.04)), (-0.5, 0.3, -0.2, 0.4))
+    np.testing.assert_allclose(viewport.window_of(frustum(-0.05, 0.03, -0.02, 0.04)), (-0.5, 0.3, -0.2, 0.4))
 
 
 def test_parts_are_counted_from_below():
     whole = (-0.5, 0.5, -0.25, 0.25)
-    np.testing.assert_allclose(views.part_of(whole, (50, 100), (25, 0, 50, 25)), (-0.25, 0.25, -0.25, 0.0))
-    np.testing.assert_allclose(views.part_of(whole, (50, 100), (0, 0, 100, 50)), whole)
+    np.testing.assert_allclose(viewport.part_of(whole, (50, 100), (25, 0, 50, 25)), (-0.25, 0.25, -0.25, 0.0))
+    np.testing.assert_allclose(viewport.part_of(whole, (50, 100), (0, 0, 100, 50)), whole)
 
 
 def test_pixels_become_square_about_the_same_middle():
-    np.testing.assert_allclose(views.square_pixels((-0.5, 0.5, 0.0, 0.2), (50, 100)), (-0.5, 0.5, -0.15, 0.35))
+    np.testing.assert_allclose(viewport.square_pixels((-0.5, 0.5, 0.0, 0.2), (50, 100)), (-0.5, 0.5, -0.15, 0.35))
 
 
 def test_pictures_shrink_to_a_longer_side_and_never_grow():
-    assert views.shrunk((540, 960), 96) == (54, 96)
-    assert views.shrunk((54, 96), 1000) == (54, 96)
-    assert views.shrunk((1, 1000), 10) == (1, 10)
+    assert viewport.shrunk((540, 960), 96) == (54, 96)
+    assert viewport.shrunk((54, 96), 1000) == (54, 96)
+    assert viewport.shrunk((1, 1000), 10) == (1, 10)
