@@ -7,7 +7,7 @@ elsewhere, and a loop over segments that is slow, obvious, and the yardstick of 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import cached_property
 from typing import Any, NamedTuple, cast
 
@@ -18,7 +18,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 from torch.nn.attention import SDPBackend, sdpa_kernel
 
-from rfpp.model.tiled_attention import TiledAttention
+from rfpp.model.tiled_attention import attend_tiled
 from rfpp.segments import Segments, on_device
 
 #: Segments are padded to multiples of this and taken in powers of two. On a CPU every new shape of a matrix product
@@ -154,7 +154,7 @@ class PaddedLayout:
     def pad(self, x: Tensor) -> list[Tensor]:
         """[N, H, D] → per bucket [b, H, L, D]."""
         if not self.trivial:
-            x = _Regather.apply(x, self.padded_from_packed, self.packed_from_padded)
+            x = _regather(x, self.padded_from_packed, self.packed_from_padded)
         pieces = x.split([b * length for b, length in self.shapes])
         return [
             p.view(b, length, *p.shape[1:]).transpose(1, 2) for p, (b, length) in zip(pieces, self.shapes, strict=True)
@@ -164,7 +164,7 @@ class PaddedLayout:
         """Per bucket [b, H, L, D] → [N, H, D]."""
         rows = [p.transpose(1, 2).flatten(0, 1) for p in pieces]
         x = rows[0] if len(rows) == 1 else torch.cat(rows)
-        return x if self.trivial else _Regather.apply(x, self.packed_from_padded, self.padded_from_packed)
+        return x if self.trivial else _regather(x, self.packed_from_padded, self.padded_from_packed)
 
 
 class _Regather(torch.autograd.Function):
@@ -190,6 +190,9 @@ class _Regather(torch.autograd.Function):
         return out.index_copy_(0, ctx.index, grad.contiguous()), None, None
 
 
+_regather: Callable[..., Tensor] = _Regather.apply  # torch's has no types
+
+
 def attend(
     q: Float[Tensor, "nq h d"], k: Float[Tensor, "nk h d"], v: Float[Tensor, "nk h d"], pattern: AttentionPattern
 ) -> Float[Tensor, "nq h d"]:
@@ -200,9 +203,8 @@ def attend(
     if pattern.order is None:
         return backend(q, k, v, pattern)
     there, back = pattern.order, pattern.inverse_order
-    q, k, v = (_Regather.apply(x, there, back) for x in (q, k, v))
-    out: Tensor = _Regather.apply(backend(q, k, v, pattern), back, there)
-    return out
+    q, k, v = (_regather(x, there, back) for x in (q, k, v))
+    return _regather(backend(q, k, v, pattern), back, there)
 
 
 def has_varlen_kernel(q: Float[Tensor, "n h d"]) -> bool:
@@ -223,9 +225,9 @@ def _attend_dense(q: Tensor, k: Tensor, v: Tensor, mask: Tensor | None) -> Tenso
         return F.scaled_dot_product_attention(q, k, v, attn_mask=mask)
     real = None if mask is None else mask[:, 0].repeat_interleave(q.shape[1], dim=0)
     # copies: the backward pass would keep the rows of all buckets for a view of some
-    heads = [x.clone(memory_format=torch.contiguous_format).flatten(0, 1) for x in (q, k, v)]
-    attend_heads = TiledAttention.apply if q.shape[-2] * k.shape[-2] > SMALL_ATTENTION else _attend_at_once
-    out: Tensor = attend_heads(*heads, real)
+    of_q, of_k, of_v = (x.clone(memory_format=torch.contiguous_format).flatten(0, 1) for x in (q, k, v))
+    attend_heads = attend_tiled if q.shape[-2] * k.shape[-2] > SMALL_ATTENTION else _attend_at_once
+    out = attend_heads(of_q, of_k, of_v, real)
     return cast(Tensor, out.unflatten(0, q.shape[:2]))
 
 

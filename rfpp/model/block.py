@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, cast
 
 import torch
@@ -30,8 +31,7 @@ class RMSNorm(nn.RMSNorm):
     def forward(self, x: Float[Tensor, "*rows width"]) -> Float[Tensor, "*rows width"]:
         if x.is_cuda or torch.compiler.is_compiling():
             return F.rms_norm(x, self.normalized_shape, self.weight.to(x.dtype), self.eps)
-        normalised: Tensor = _NormaliseRows.apply(x, self.weight.to(x.dtype), self.eps)
-        return normalised
+        return _normalised_rows(x, self.weight.to(x.dtype), self.eps)
 
 
 class _NormaliseRows(torch.autograd.Function):
@@ -55,6 +55,9 @@ class _NormaliseRows(torch.autograd.Function):
         mean = (along @ weight)[..., None] / unit.shape[-1]
         grad_x = torch.addcmul(grad * weight, unit, mean, value=-1) * inverse
         return grad_x, along.flatten(0, -2).sum(0), None
+
+
+_normalised_rows: Callable[..., Tensor] = _NormaliseRows.apply  # torch's has no types
 
 
 class SelfAttention(nn.Module):
@@ -122,7 +125,7 @@ class SwiGLU(nn.Module):
 
     def forward(self, x: Float[Tensor, "n width"]) -> Float[Tensor, "n width"]:
         gate, value = _linears(x, self.in_proj, 2)
-        gated = F.silu(gate) * value if torch.compiler.is_compiling() else _Gate.apply(gate, value)
+        gated = F.silu(gate) * value if torch.compiler.is_compiling() else _gated(gate, value)
         out: Tensor = self.out_proj(gated)
         return out
 
@@ -139,6 +142,9 @@ class _Gate(torch.autograd.Function):
     def backward(ctx: Any, grad: Tensor) -> tuple[Tensor, Tensor]:
         gate, value = ctx.saved_tensors
         return torch.ops.aten.silu_backward(grad * value, gate), F.silu(gate).mul_(grad)
+
+
+_gated: Callable[..., Tensor] = _Gate.apply  # torch's has no types
 
 
 class SelfBlock(nn.Module):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -79,8 +80,7 @@ def rotate(x: Float[Tensor, "n h d"], rotation: Rotation | None) -> Float[Tensor
     if cos.requires_grad or torch.compiler.is_compiling():  # someone optimises positions, or traces us
         a, b = x.chunk(2, dim=-1)
         return torch.cat([a * cos - b * sin, b * cos + a * sin], dim=-1)
-    rotated: Tensor = _Rotate.apply(x, cos, sin)
-    return rotated
+    return _rotated(x, cos, sin)
 
 
 class _Rotate(torch.autograd.Function):
@@ -95,6 +95,9 @@ class _Rotate(torch.autograd.Function):
     def backward(ctx: Any, grad: Tensor) -> tuple[Tensor, None, None]:
         cos, sin = ctx.saved_tensors
         return _turned(grad, cos, sin, -1), None, None
+
+
+_rotated: Callable[..., Tensor] = _Rotate.apply  # torch's has no types
 
 
 def _turned(x: Tensor, cos: Tensor, sin: Tensor, direction: int) -> Tensor:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, Protocol, runtime_checkable
 
 import torch
@@ -36,7 +37,7 @@ class LogRadiance:
     channels: tuple[str, ...] = ()
 
     def __call__(self, maps: Float[Tensor, "n 3 h w"], gbuffer: Float[Tensor, "n 0 h w"]) -> Float[Tensor, "n 3 h w"]:
-        return log_decode(_ELU.apply(maps))
+        return log_decode(_elu(maps))
 
 
 class ReflectedLight:
@@ -51,7 +52,7 @@ class ReflectedLight:
     channels: tuple[str, ...] = ("albedo", "specular")
 
     def __call__(self, maps: Float[Tensor, "n 6 h w"], gbuffer: Float[Tensor, "n 6 h w"]) -> Float[Tensor, "n 3 h w"]:
-        diffuse, glossy = log_decode(_ELU.apply(maps)).chunk(2, dim=1)
+        diffuse, glossy = log_decode(_elu(maps)).chunk(2, dim=1)
         albedo, specular = gbuffer.chunk(2, dim=1)
         return albedo * diffuse + specular * glossy
 
@@ -110,3 +111,6 @@ class _ELU(torch.autograd.Function):
         (x,) = ctx.saved_tensors
         slope = torch.where((x > 0) | (grad < 0), 1.0, _ELU.ALPHA * x.clamp(max=0).exp())
         return grad * slope
+
+
+_elu: Callable[..., Tensor] = _ELU.apply  # torch's has no types

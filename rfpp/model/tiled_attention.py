@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import torch
@@ -56,6 +56,9 @@ class TiledAttention(torch.autograd.Function):
                 sum_k += grad_scores.transpose(-1, -2) @ q[heads, rows]
             grad_k[heads], grad_v[heads] = sum_k, sum_v
         return grad_q.mul_(q.shape[-1] ** -0.5), grad_k, grad_v, None
+
+
+attend_tiled: Callable[..., Tensor] = TiledAttention.apply  # torch's has no types
 
 
 def _weights(q: Tensor, k: Tensor, real: Tensor | None, heads: slice, rows: slice) -> Float[Tensor, "heads rows keys"]:

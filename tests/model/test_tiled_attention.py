@@ -6,13 +6,13 @@ from attention_inputs import random_qkv, values_and_gradients
 
 from rfpp.model import attention, tiled_attention
 from rfpp.model.attention import AttentionPattern, attend_bucketed, attend_loop
-from rfpp.model.tiled_attention import TiledAttention
+from rfpp.model.tiled_attention import attend_tiled
 from rfpp.segments import Segments
 
 
 def tiled(q, k, v, real):
     """As `attend_loop` but for the pattern: [n, h, d] of one segment."""
-    return TiledAttention.apply(*(x.transpose(0, 1) for x in (q, k, v)), real).transpose(0, 1)
+    return attend_tiled(*(x.transpose(0, 1) for x in (q, k, v)), real).transpose(0, 1)
 
 
 @pytest.mark.parametrize(("queries", "keys"), [(1, 1), (9, 1), (1, 37), (37, 37), (64, 5)])
@@ -33,8 +33,8 @@ def test_many_tiles_equal_the_definition(queries, keys, monkeypatch):
 def test_a_scene_in_bfloat16_equals_the_definition_as_far_as_eight_bits_go(monkeypatch):
     monkeypatch.setattr(attention, "SMALL_ATTENTION", 32 * 32)
     used = []
-    apply = TiledAttention.apply
-    monkeypatch.setattr(TiledAttention, "apply", lambda *args: used.append(args[-1] is not None) or apply(*args))
+    apply = attention.attend_tiled
+    monkeypatch.setattr(attention, "attend_tiled", lambda *args: used.append(args[-1] is not None) or apply(*args))
     segments = Segments.from_lengths([128, 128, 300, 51, 64, 1, 30, 77])
     qkv, pattern = [x.bfloat16() for x in random_qkv(segments, segments, dim=64)], AttentionPattern(segments)
     for fast, slow in zip(
