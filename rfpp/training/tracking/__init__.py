@@ -3,17 +3,16 @@
 `logger` and `local` are Lightning's loggers. Both write `journal`, which `sending` transfers to MLflow. Only `logger`,
 `sending`, `mlflow_run`, `models` and `datasets` import MLflow.
 
-Lightning's MLFlowLogger with `synchronous=False` also sends metrics in the background. It does not do the following, for
-which the modules here exist:
+Lightning's MLFlowLogger with `synchronous=False` also sends metrics in the background. It lacks what is here:
 
-- `journal`: its queue is in memory, so a killed process loses what was not sent; a resumed run logs repeated steps twice.
+- `journal`: its queue is in memory, so a killed process loses what was not sent; resumed runs log repeated steps twice.
 - `sending`: it creates the run in the training thread and raises if the server is away; artifacts, tags and the final
   status are sent synchronously; nothing is sent again after an outage.
 - `mlflow_run`: one MLflow run per run folder, found again without its id; parent runs of sweeps.
 - `local`: runs without MLflow, which can be continued with it.
-- `models`, `registry`, `datasets`, `description`: registered checkpoints with signatures, data set inputs, code version.
+- `models`, `registry`, `datasets`, `description`: registered checkpoints with signatures, data sets, code version.
 
-What it does as well is about 30 lines: flattening parameters, cleaning metric names, batches of metrics.
+What both do is about 30 lines: flattening parameters, cleaning metric names, batching metrics.
 """
 
 from rfpp.training.tracking.description import code_version
