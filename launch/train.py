@@ -2,7 +2,7 @@
 
 python launch/train.py experiment=quickstart
 
-The same command with the same run_dir goes on where the run was, after a kill too. Ctrl-C saves first.
+The same command with the same run_dir resumes the run, even after a kill. Ctrl-C saves a checkpoint first.
 """
 
 from __future__ import annotations

@@ -54,7 +54,7 @@ class JointWindow:
     def _filtered(
         self, light: Float[Tensor, "n 6 h w"], guides: Float[Tensor, "n 7 h w"], step: int
     ) -> Float[Tensor, "n 6 h w"]:
-        """With every so many-th pixel of a window."""
+        """A window with the given stride between pixels."""
         side = self.radius * step
         around, guides_around = F.pad(light, [side] * 4), F.pad(guides, [side] * 4)
         height, width = light.shape[-2:]

@@ -52,7 +52,7 @@ class Acceptance:
         """The first accepted draw of each camera, or None if a camera has none.
 
         Args:
-            draw: all cameras of the so many-th attempt.
+            draw: attempt → its cameras.
             refused: counts the refused views by reason.
         """
         accepted: dict[int, Camera] = {}
