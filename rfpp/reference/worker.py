@@ -17,6 +17,8 @@ from typing import Any
 
 import psutil
 
+from rfpp.interrupts import unheard_by_children
+
 
 class WorkerDeathError(RuntimeError):
     """A worker process ended in the middle of a job (crash, or killed for want of memory)."""
@@ -118,14 +120,13 @@ class Slot:
         context = multiprocessing.get_context("spawn")
         self.connection, theirs = context.Pipe()
         self.process = context.Process(target=_serve, args=(theirs,), daemon=True)
-        with _running_on(self.cores):
+        with _running_on(self.cores), unheard_by_children():  # only the first process decides on Ctrl-C
             self.process.start()
         theirs.close()
 
 
 def _serve(connection: Connection) -> None:
     """A worker's life: take (job, item), answer with the result, until the other end closes."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group; only the parent decides
     signal.signal(signal.SIGTERM, _leave)
     while True:
         try:
