@@ -39,7 +39,7 @@ def unheard_by_children(signals: Iterable[int] = (signal.SIGINT,)) -> Iterator[N
 def _uncaught(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
     """What ends a command from outside, or before it begins: Ctrl-C, and a library that its file cannot import."""
     if issubclass(kind, KeyboardInterrupt):  # Python then ends by the signal, as shells expect
-        print(f"interrupted: {error or 'run the same command again'}", file=sys.stderr)
+        print(f"interrupted: {str(error) or 'run the same command again'}", file=sys.stderr)
     elif missing := missing_extra(error):
         print(f"error: {missing}", file=sys.stderr)
     else:
