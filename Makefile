@@ -7,7 +7,7 @@
 # Each makes its own virtual environment first. PYTHON=/path/to/python3.11 names another interpreter.
 VENV ?= .venv
 RUN := $(VENV)/bin/python
-PYTEST := $(RUN) -m pytest -n 2 --dist loadgroup --durations=50 --durations-min=3
+PYTEST := $(RUN) -m pytest -n 2 --dist loadfile --durations=50 --durations-min=3
 EXPERIMENT := experiment=quickstart
 # One folder, so that the same command goes on after an interruption.
 TRAINED := data/runs/quickstart/by_make

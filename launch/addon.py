@@ -8,6 +8,9 @@ In Blender 4.2 to 5.2: Preferences, Get Extensions, the arrow at the right, Inst
 
 from __future__ import annotations
 
+import rfpp.interrupts  # noqa: F401 (first: what follows takes seconds to import)
+
+# isort: split
 from pathlib import Path
 
 from omegaconf import DictConfig

@@ -5,6 +5,9 @@ python launch/benchmark.py benchmark=reference output=data/results/reference.csv
 
 from __future__ import annotations
 
+import rfpp.interrupts  # noqa: F401 (first: what follows takes seconds to import)
+
+# isort: split
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path

@@ -6,6 +6,9 @@ python launch/evaluate.py experiment=quickstart checkpoint=[a/checkpoints/best.c
 
 from __future__ import annotations
 
+import rfpp.interrupts  # noqa: F401 (first: what follows takes seconds to import)
+
+# isort: split
 from collections.abc import Sequence
 from pathlib import Path
 

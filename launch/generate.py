@@ -12,6 +12,9 @@ h5.folder=… the data set is made of RenderFormer's H5 files.
 
 from __future__ import annotations
 
+import rfpp.interrupts  # noqa: F401 (first: what follows takes seconds to import)
+
+# isort: split
 import time
 from pathlib import Path
 from typing import Any
@@ -97,7 +100,7 @@ def _make(cfg: DictConfig, console: Console) -> Manifest | None:
         with counting(console, "images", recipe.views) as (show, count), instantiate(cfg.farm) as farm:
             make(recipe, farm, show, part)
     except KeyboardInterrupt:
-        raise UserError("interrupted: run the same command again to go on, finished scenes are kept") from None
+        raise KeyboardInterrupt("run the same command again to go on, finished scenes are kept") from None
     if count.made:
         console.print(f"Made {count.made} scenes in {time.perf_counter() - begin:.0f} s.")
     else:

@@ -5,6 +5,9 @@ python launch/inspect_transport.py experiment=quickstart checkpoint=data/runs/qu
 
 from __future__ import annotations
 
+import rfpp.interrupts  # noqa: F401 (first: what follows takes seconds to import)
+
+# isort: split
 from pathlib import Path
 
 import torch

@@ -6,6 +6,9 @@ python launch/measure_light.py experiment=light_test checkpoint=[a/checkpoints/b
 
 from __future__ import annotations
 
+import rfpp.interrupts  # noqa: F401 (first: what follows takes seconds to import)
+
+# isort: split
 from functools import partial
 from pathlib import Path
 from typing import Any

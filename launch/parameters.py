@@ -5,6 +5,9 @@ python launch/parameters.py --size base
 
 from __future__ import annotations
 
+import rfpp.interrupts  # noqa: F401 (first: what follows takes seconds to import)
+
+# isort: split
 import argparse
 import csv
 import io

@@ -8,6 +8,9 @@ Writes the scene with these lights, its images, and a sheet of before, target an
 
 from __future__ import annotations
 
+import rfpp.interrupts  # noqa: F401 (first: what follows takes seconds to import)
+
+# isort: split
 from collections.abc import Sequence
 from pathlib import Path
 

@@ -9,6 +9,9 @@ Where no checkpoint is given, the network that comes with the project renders.
 
 from __future__ import annotations
 
+import rfpp.interrupts  # noqa: F401 (first: what follows takes seconds to import)
+
+# isort: split
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

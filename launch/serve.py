@@ -8,6 +8,9 @@ Only programs on this machine are answered unless host=0.0.0.0 says otherwise, a
 
 from __future__ import annotations
 
+import rfpp.interrupts  # noqa: F401 (first: what follows takes seconds to import)
+
+# isort: split
 import threading
 from pathlib import Path
 

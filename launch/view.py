@@ -9,6 +9,9 @@ host=0.0.0.0 says otherwise: whoever can open it can use this machine's processo
 
 from __future__ import annotations
 
+import rfpp.interrupts  # noqa: F401 (first: what follows takes seconds to import)
+
+# isort: split
 import threading
 from collections.abc import Callable
 from pathlib import Path

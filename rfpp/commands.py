@@ -9,7 +9,6 @@ import sys
 import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from types import TracebackType
 from typing import Any, NoReturn, TypeVar
 
 import hydra
@@ -17,6 +16,7 @@ from hydra.core.global_hydra import GlobalHydra
 from hydra.errors import ConfigCompositionException, InstantiationException, OverrideParseException
 from omegaconf import DictConfig, OmegaConf
 
+import rfpp.interrupts  # noqa: F401 (what ends a command from outside is said in one line)
 from rfpp.allocator import keep_freed_memory
 from rfpp.errors import UserError
 from rfpp.extras import missing_extra
@@ -89,19 +89,6 @@ def entry_point(
 def without_plus(arguments: Sequence[str]) -> list[str]:
     """The command line with `experiment=…` for `+experiment=…`, which Hydra refuses for a group that has a default."""
     return [given[1:] if given.startswith(_ONCE_ADDED) else given for given in arguments]
-
-
-def _uncaught(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
-    """What ends a command from outside, or before it begins: Ctrl-C, and a library that its file cannot import."""
-    if issubclass(kind, KeyboardInterrupt):  # Python then ends by the signal, as shells expect
-        print("interrupted: run the same command again", file=sys.stderr)
-    elif missing := missing_extra(error):
-        print(f"error: {missing}", file=sys.stderr)
-    else:
-        sys.__excepthook__(kind, error, trace)
-
-
-sys.excepthook = _uncaught
 
 
 def _fail(error: UserError) -> NoReturn:

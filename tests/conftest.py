@@ -30,14 +30,9 @@ def pytest_ignore_collect(collection_path, config):
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items):
-    """With `-n 2` a file's tests run in one process, for their fixtures; all that need the one Slurm, in one, too.
-
-    What slow_tests.txt names is marked `slow`.
-    """
+    """What slow_tests.txt names is marked `slow`."""
     slow = tuple(line for line in _SLOW.read_text(encoding="utf-8").splitlines() if line and line[0] != "#")
     for item in items:
-        file = item.nodeid.split("::")[0]
-        item.add_marker(pytest.mark.xdist_group("slurm" if "slurm" in item.fixturenames else file))
         if item.nodeid.startswith(slow):
             item.add_marker(pytest.mark.slow)
 

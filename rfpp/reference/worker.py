@@ -17,6 +17,8 @@ from typing import Any
 
 import psutil
 
+from rfpp.child_signals import unheard_by_children
+
 
 class WorkerDeathError(RuntimeError):
     """A worker process died during a job (crash or out of memory)."""
@@ -118,14 +120,13 @@ class Slot:
         context = multiprocessing.get_context("spawn")
         self.connection, theirs = context.Pipe()
         self.process = context.Process(target=_serve, args=(theirs,), daemon=True)
-        with _running_on(self.cores):
+        with _running_on(self.cores), unheard_by_children():  # only the first process decides on Ctrl-C
             self.process.start()
         theirs.close()
 
 
 def _serve(connection: Connection) -> None:
     """Worker loop: receive (job, item), send the result, until the connection closes."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group; only the parent decides
     signal.signal(signal.SIGTERM, _leave)
     while True:
         try:

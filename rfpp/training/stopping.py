@@ -9,13 +9,14 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from multiprocessing import active_children, resource_tracker
+from multiprocessing import active_children
 from pathlib import Path
 from typing import NoReturn
 
 import torch
 import torch.distributed as dist
 
+from rfpp.child_signals import unheard_by_children
 from rfpp.errors import UserError
 from rfpp.training.signals import BY_WEIGHT, COME_BACK
 
@@ -33,19 +34,16 @@ class StoppedError(UserError):
 
 
 @contextmanager
-def unheard_by_children() -> Iterator[None]:
-    """Child processes started in this block ignore stop signals, which Slurm and terminals send to all processes.
+def unheard_by_loaders() -> Iterator[None]:
+    """Daemonic children started in this block ignore stop signals, which Slurm and terminals send to all processes.
 
     A loader process would die of them, and training with it, before the ranks have agreed and saved. When this
     process ends, it kills those that are left.
     """
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, BY_WEIGHT)
     try:
-        resource_tracker.ensure_running()  # multiprocessing's own child; when it starts, it unblocks two of them
-        signal.pthread_sigmask(signal.SIG_BLOCK, BY_WEIGHT)
-        yield
+        with unheard_by_children(BY_WEIGHT):
+            yield
     finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
         # to run before what multiprocessing and PyTorch do at the end, which is SIGTERM, and to wait
         atexit.unregister(_kill_children)
         atexit.register(_kill_children)

@@ -7,7 +7,9 @@ from networks import checkpoint_info, network
 from rfpp.benchmark import lights
 from rfpp.benchmark.exhibits import SceneFile
 from rfpp.benchmark.lights import Coated, Relit, measure, with_one_small_light
+from rfpp.benchmark.textured import Textured, picture
 from rfpp.inference.renderer import Renderer
+from rfpp.scene.io.image_texture import linear
 from rfpp.scene.triangles import DIFFUSE, EMISSION, ROUGHNESS, SPECULAR, SceneTriangles
 
 STORED = SceneFile("box", "data/scenes/cornell_box.json")
@@ -43,10 +45,28 @@ def test_coats_leave_the_lights_alone() -> None:
     assert len(np.unique(textured[surface], axis=0)) == surface.sum()
 
 
+@pytest.mark.parametrize("pixels", [64, None])
+def test_a_textured_scene_is_the_stored_one_with_another_colour(pixels) -> None:
+    before, after = STORED.scene(), Textured("", STORED, pixels).scene()
+    old, new = before.triangles, after.triangles
+    np.testing.assert_allclose(after.c2w, before.c2w, atol=1e-5)
+    np.testing.assert_allclose(after.fov, before.fov, rtol=1e-5)
+    assert new.object_names == old.object_names and new.num_lights == old.num_lights
+    np.testing.assert_allclose(new.positions, old.positions, atol=1e-6)
+    np.testing.assert_allclose(new.normals, old.normals, atol=0.02)
+    np.testing.assert_allclose(new.material[:, EMISSION], old.material[:, EMISSION], rtol=1e-5)
+    surface = ~old.is_emissive
+    np.testing.assert_allclose(new.material[surface, ROUGHNESS], old.material[surface, ROUGHNESS], atol=1e-6)
+    colours, shown = new.material[surface, DIFFUSE], linear(picture(64)).reshape(-1, 3)
+    assert (colours <= shown.max(axis=0)).all() and (colours >= 0.9 * shown.min(axis=0)).all()
+    assert len(np.unique(colours.round(3), axis=0)) == 1 if pixels is None else len(np.unique(colours, axis=0)) > 100
+
+
 def test_a_row_compares_a_scene_with_one_small_light(monkeypatch) -> None:
     monkeypatch.setattr(lights.Renderer, "load", lambda _: Renderer(network(), checkpoint_info()))
     done = []
     (row,) = measure("small", [Relit("many", STORED, 8, 8)], 16, 1, lambda *n: done.append(n))
     assert (row["scene"], row["lights"], row["emitting"]) == ("many", 8, 64)
+    assert row["read_s"] > 0
     assert row["ratio"] == pytest.approx(row["first_s"] / row["one_light_s"])
     assert done == [(1, 1)]

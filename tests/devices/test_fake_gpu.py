@@ -1,6 +1,6 @@
 """Every network on a GPU that is not there: nothing stays on the host, nothing is waited for, dtypes are right."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -17,21 +17,59 @@ from rfpp.model.view_decoder import SeenTokens
 from rfpp.segments import on_device
 
 
-@pytest.fixture(params=VARIANTS.values(), ids=VARIANTS.keys())
+@pytest.fixture(params=VARIANTS.values(), ids=VARIANTS.keys(), scope="module")
 def variant(request) -> tuple[str, ...]:
     return request.param
 
 
-def test_a_training_step_s_forward_pass_never_waits_for_the_device(variant):
-    with fake_gpu() as copies:
+@dataclass(frozen=True)
+class Step:
+    """What was seen of a training step's forward pass: copies that it waited for, devices and dtypes of tensors."""
+
+    waited_for: list[str]
+    devices: dict[str, torch.device]
+    dtypes: dict[str, torch.dtype]
+    attention: set[torch.dtype]
+
+
+@pytest.fixture(scope="module")
+def step(variant) -> Step:
+    taken, found, kernel = set(), {}, attention.attend_varlen
+    with pytest.MonkeyPatch.context() as patch, fake_gpu() as copies:
+        patch.setattr(attention, "attend_varlen", lambda *a: taken.add(a[0].dtype) or kernel(*a))
+        patch.setattr(attention, "attend_bucketed", None)
         net = network_on(GPU, *variant).train()
         batch = batch_for(net).to(GPU, non_blocking=True)
+        net.decoder.head.register_forward_hook(lambda _, __, maps: found.update(head=maps.dtype))
+        net.decoder.blocks[0].cross_attention.out_proj.register_forward_hook(
+            lambda _, __, x: found.update(layer=x.dtype)
+        )
         copies.waited_for.clear()
         made = net(batch)
         terms = loss()(made.log_radiance, made.transport_states, batch.image, made.state_segments)
-        assert made.log_radiance.device == terms["loss"].device == GPU
-        assert made.log_radiance.dtype == terms["loss"].dtype == torch.float32
-        assert copies.waited_for == []
+        waited_for = [*copies.waited_for]
+        ends = {"log_radiance": made.log_radiance, "loss": terms["loss"]}
+        states = {f"state {number}": state for number, state in enumerate(made.transport_states)}
+        return Step(
+            waited_for,
+            {name: tensor.device for name, tensor in ends.items()},
+            found | {name: tensor.dtype for name, tensor in (ends | states).items()},
+            taken,
+        )
+
+
+def test_a_training_step_s_forward_pass_never_waits_for_the_device(step):
+    assert step.waited_for == []
+    assert step.devices == {"log_radiance": GPU, "loss": GPU}
+
+
+def test_attention_in_half_precision_goes_to_the_variable_length_kernel(step):
+    assert step.attention == {torch.bfloat16}
+
+
+def test_images_and_light_are_float32_between_layers_in_half_precision(step):
+    assert step.dtypes["layer"] == torch.bfloat16
+    assert {name for name, dtype in step.dtypes.items() if dtype != torch.float32} == {"layer"}
 
 
 def test_rendering_never_waits_for_the_device_before_the_image_is_there(variant):
@@ -45,17 +83,6 @@ def test_rendering_never_waits_for_the_device_before_the_image_is_there(variant)
         assert copies.waited_for == []
 
 
-def test_attention_in_half_precision_goes_to_the_variable_length_kernel(variant, monkeypatch):
-    taken = set()
-    kernel = attention.attend_varlen
-    monkeypatch.setattr(attention, "attend_varlen", lambda *a: taken.add(a[0].dtype) or kernel(*a))
-    monkeypatch.setattr(attention, "attend_bucketed", None)
-    with fake_gpu():
-        net = network_on(GPU, *variant).eval()
-        net(batch_for(net).to(GPU))
-    assert taken == {torch.bfloat16}
-
-
 def test_only_rays_of_whole_views_go_to_the_kernel_that_is_planned_for_each_shape(variant, monkeypatch):
     """Numbers of tokens differ from scene to scene, even where a batch has one."""
     lengths, kernel = set(), attention.attend_equal
@@ -67,19 +94,6 @@ def test_only_rays_of_whole_views_go_to_the_kernel_that_is_planned_for_each_shap
         assert net(batch).log_radiance.shape == (1, 2, 3, 16, 16)
     windows = isinstance(net.decoder.windows, ShiftedWindows)
     assert lengths == (set() if windows else {(16 // net.patch_size) ** 2})
-
-
-def test_images_and_light_are_float32_between_layers_in_half_precision(variant):
-    found = {}
-    with fake_gpu():
-        net = network_on(GPU, *variant).train()
-        net.decoder.head.register_forward_hook(lambda _, __, maps: found.update(head=maps.dtype))
-        net.decoder.blocks[0].cross_attention.out_proj.register_forward_hook(
-            lambda _, __, x: found.update(layer=x.dtype)
-        )
-        made = net(batch_for(net).to(GPU))
-        found["states"] = {state.dtype for state in made.transport_states} or {torch.float32}
-    assert found == {"head": torch.float32, "layer": torch.bfloat16, "states": {torch.float32}}
 
 
 def test_float32_runs_on_the_gpu_too(variant):

@@ -4,6 +4,8 @@ import atexit
 import os
 import signal
 import time
+from concurrent.futures import ThreadPoolExecutor
+from multiprocessing import active_children
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -126,6 +128,20 @@ def test_each_worker_is_pinned_to_its_own_cores_and_the_parent_is_not():
         assert len(farm) == len(before)
     assert all(len(cores) == 1 for cores in seen)
     assert os.sched_getaffinity(0) == before
+
+
+def test_control_c_reaches_no_worker_not_even_one_that_is_being_started():
+    before = set(active_children())
+
+    def interrupt() -> None:
+        while not (started := set(active_children()) - before):
+            time.sleep(0.001)
+        os.kill(started.pop().pid, signal.SIGINT)
+
+    with RenderFarm(1) as farm, ThreadPoolExecutor(1) as thread:
+        interrupted = thread.submit(interrupt)
+        assert list(farm.map(slow_square, [2], attempts=1)) == [(2, 4)]
+        interrupted.result()
 
 
 def test_a_single_worker_gets_all_cores():

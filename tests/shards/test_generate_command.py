@@ -1,9 +1,13 @@
 """launch/generate.py as a user runs it."""
 
+import os
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
+import psutil
 import pytest
 import trimesh
 from hydra import compose, initialize_config_dir
@@ -28,14 +32,15 @@ def test_every_experiment_composes_to_a_family_and_valid_data_settings(experimen
     assert instantiate(cfg.reference).denoise
 
 
+#: A scene of quickstart's at toy size.
+COMMAND = (
+    sys.executable, "launch/generate.py", "experiment=quickstart", "data.resolution=16", "reference.samples=1",
+    "farm.workers=1", "data.splits={train: 1, train_newviews: 0, validation: 0, test: 0}",
+)  # fmt: skip
+
+
 def run(*overrides: str) -> subprocess.CompletedProcess:
-    """A scene of quickstart's at toy size, whatever the overrides say."""
-    small = ["data.resolution=16", "reference.samples=1", "farm.workers=1"]
-    amount = ["data.splits={train: 1, train_newviews: 0, validation: 0, test: 0}"]
-    command = [sys.executable, "launch/generate.py", "experiment=quickstart"]
-    return subprocess.run(
-        [*command, *small, *amount, *overrides], cwd=REPOSITORY, capture_output=True, text=True, check=False
-    )
+    return subprocess.run([*COMMAND, *overrides], cwd=REPOSITORY, capture_output=True, text=True, check=False)
 
 
 @requires_blender
@@ -55,6 +60,29 @@ def test_generate_then_nothing_to_do_then_refused(tmp_path):
     assert refused.returncode == 1
     assert refused.stderr.count("\n") == 1
     assert "reference.samples (1 there, 2 now)" in refused.stderr
+
+
+@requires_blender
+@pytest.mark.parametrize("moment", ["workers", "scenes"])
+def test_control_c_ends_all_processes_with_one_line_and_the_command_goes_on(tmp_path, moment):
+    overrides = ("data.splits={train: 3, train_newviews: 0, validation: 0, test: 0}", f"data.root={tmp_path}/data")
+    pipes = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE, "text": True, "start_new_session": True}
+    process = subprocess.Popen([*COMMAND, *overrides], cwd=REPOSITORY, **pipes)
+    command = psutil.Process(process.pid)
+    while not (command.children() if moment == "workers" else [*tmp_path.rglob("*.sample")]):
+        assert process.poll() is None, process.stderr.read()
+        time.sleep(0.01)
+    children = command.children(recursive=True)
+    os.killpg(process.pid, signal.SIGINT)
+    _, said = process.communicate(timeout=120)
+    assert said == "interrupted: run the same command again to go on, finished scenes are kept\n"
+    assert process.returncode == -signal.SIGINT  # what a shell calls 130
+    assert psutil.wait_procs(children, timeout=60)[1] == []
+    if moment == "scenes":
+        kept = [*tmp_path.rglob("*.sample")]
+        again = run(*overrides)
+        assert again.returncode == 0, again.stderr
+        assert f"Made {3 - len(kept)} scenes" in again.stdout
 
 
 @requires_blender

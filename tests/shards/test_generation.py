@@ -75,7 +75,7 @@ def test_the_same_command_again_does_nothing(copied, finished):
     assert calls == [(10, 10)]
 
 
-@pytest.mark.parametrize(("workers", "count"), [(1, 2), (1, 3), (3, 3)])  # the end of a shard; the middle of one
+@pytest.mark.parametrize(("workers", "count"), [(0, 2), (1, 3), (3, 3)])  # the end of a shard; the middle of one
 def test_resumption_gives_what_an_uninterrupted_run_gives(tmp_path, finished, workers, count):
     with pytest.raises(KeyboardInterrupt):
         make(tmp_path, progress=InterruptAfter(count), workers=workers)
@@ -149,7 +149,7 @@ def test_failing_scenes_are_listed_and_the_rest_is_kept(tmp_path, finished):
     assert 0 < len(failing) < 10
     root = tmp_path / "data"
     with pytest.raises(ShardError, match=rf"{len(failing)} of 10 scenes failed.*the renderer fell over.*reproduce"):
-        make(root, render=renderer)
+        make(root, render=renderer, workers=1)
     assert sorted(path.name for path in root.rglob("*.failed.json")) == sorted(f"{key}.failed.json" for key in failing)
     listed = json.loads(next(root.rglob(f"{failing[0]}.failed.json")).read_text())
     assert "__call__" in listed["traceback"]

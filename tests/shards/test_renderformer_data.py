@@ -9,11 +9,10 @@ import h5py
 import numpy as np
 import pytest
 from known_scenes import look_at, moved, rigid_motion, still_life
-from small_data import SETTINGS
+from small_data import SETTINGS, InProcess
 from stored_sample import stored_sample
 
 from rfpp.errors import SceneError, ShardError, UserError
-from rfpp.reference.farm import RenderFarm
 from rfpp.scene.io.renderformer_h5 import save_h5
 from rfpp.scene.packed import PackedScene
 from rfpp.shards.dataset import ShardSplit
@@ -57,20 +56,8 @@ def recipe(folder: Path, root: Path, validation=0.0, test=0.3, **data):
     return Import(folder, validation, test).recipe(replace(SETTINGS, name="imported", root=str(root), **data))
 
 
-class InProcess(RenderFarm):
-    """No workers: starting one takes seconds."""
-
-    def map(self, job, items, attempts=2):
-        job = pickle.loads(pickle.dumps(job))
-        for item in items:
-            try:
-                yield item, job(item)
-            except Exception as error:
-                yield item, error
-
-
 def make(folder: Path, root: Path, **settings):
-    return generate(recipe(folder, root, **settings), InProcess(1), lambda done, total: None)
+    return generate(recipe(folder, root, **settings), InProcess(), lambda done, total: None)
 
 
 def sample_of(plan, key: str) -> SceneSample:

@@ -5,18 +5,16 @@ from pathlib import Path
 
 import pytest
 from filelock import FileLock
-from small_data import InterruptAfter, hashes, make, recipe
+from small_data import InProcess, InterruptAfter, hashes, make, recipe
 
 from rfpp.errors import ShardError, UserError
-from rfpp.reference.farm import RenderFarm
 from rfpp.shards import generation
 from rfpp.shards.recipe import Slice
 from rfpp.shards.status import status
 
 
 def make_slice(root: Path, index: int, count: int) -> None:
-    with RenderFarm(1) as farm:
-        generation.make(recipe(root), farm, lambda done, total: None, Slice(index, count))
+    generation.make(recipe(root), InProcess(), lambda done, total: None, Slice(index, count))
 
 
 def test_slices_made_apart_and_merged_equal_one_run(tmp_path, finished):

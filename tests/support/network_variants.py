@@ -18,9 +18,9 @@ VARIANTS = {
     "windows": (*PAPER, "+model.decoder.windows={_target_: rfpp.model.ray_windows.ShiftedWindows, size: 2}"),
     **{
         name: (f"experiment=[large_scale,{name}]", "size=tiny", *HEADS)
-        for name in ("without_pitg", "without_tcl", "without_ggd", "one_iteration", "renderformer", "renderformer_pitg",
-                     "renderformer_hoct", "renderformer_finetuned", "direct_light", "learned_occlusion",
-                     "light_from_emission", "octant_tokens")
+        # without_tcl is the paper's network, renderformer_finetuned RenderFormer's
+        for name in ("without_pitg", "without_ggd", "one_iteration", "renderformer", "renderformer_pitg",
+                     "renderformer_hoct", "direct_light", "learned_occlusion", "light_from_emission", "octant_tokens")
     },
 }  # fmt: skip
 

@@ -1,6 +1,8 @@
 """A data set that takes no time: a box on a floor, and a renderer that invents plausible numbers."""
 
 import json
+import pickle
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -109,9 +111,24 @@ def recipe(root: Path, family=None, render=invented, groups=None, reference=REFE
     return Recipe.of_scenes(family or BoxFamily(), reference, dataset, groups or {"scene": "boxes"}, render)
 
 
-def make(root: Path, *args, progress=lambda done, total: None, workers=1, **kwargs) -> Manifest:
-    """The finished data set of `recipe(root, ...)`."""
-    with RenderFarm(workers) as farm:
+class InProcess(RenderFarm):
+    """Jobs run here, once each: a worker takes seconds to start."""
+
+    def __init__(self) -> None:
+        super().__init__(1)
+
+    def map(self, job, items: Iterable, attempts: int = 1) -> Iterator:
+        job = pickle.loads(pickle.dumps(job))
+        for item in items:
+            try:
+                yield item, job(item)
+            except Exception as error:
+                yield item, error
+
+
+def make(root: Path, *args, progress=lambda done, total: None, workers=0, **kwargs) -> Manifest:
+    """The finished data set of `recipe(root, ...)`, made by so many processes; 0 is this one."""
+    with RenderFarm(workers) if workers else InProcess() as farm:
         return generate(recipe(root, *args, **kwargs), farm, progress)
 
 
