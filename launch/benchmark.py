@@ -60,12 +60,14 @@ def _bar(console: Console) -> Iterator[Callable[[int, int], None]]:
 
 def _table(rows: list[Row]) -> Table:
     """What differs between the rows in columns; what does not, above them."""
-    same = {name: value for name, value in rows[0].items() if len(rows) > 1 and all(r[name] == value for r in rows)}
-    names = [name for name in rows[0] if name not in same]
+    names = list(dict.fromkeys(name for row in rows for name in row))
+    values = {name: [row.get(name) for row in rows] for name in names}
+    same = {name: of[0] for name, of in values.items() if len(rows) > 1 and all(value == of[0] for value in of)}
+    names = [name for name in names if name not in same]
     table = Table(*(Column(name, no_wrap=True) for name in names), box=None, pad_edge=False, title_justify="left")
     table.title = ", ".join(f"{name} {_cell(value)}" for name, value in same.items())
     for row in rows:
-        table.add_row(*(_cell(row[name]) for name in names))
+        table.add_row(*(_cell(row.get(name)) for name in names))
     return table
 
 

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import gc
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from itertools import product
 from pathlib import Path
-from statistics import median
 from typing import Any
 
 import torch
@@ -18,7 +16,8 @@ from rfpp.benchmark.cost.case import Case
 from rfpp.benchmark.cost.process import GB
 from rfpp.benchmark.cost.rows import Row, read_rows
 from rfpp.benchmark.cost.tasks import Setting, Task, Untrained
-from rfpp.benchmark.cost.turns import OK
+from rfpp.benchmark.loader_and_step import LoaderAndStep
+from rfpp.benchmark.repeated import Repeats, Runs, repeated
 from rfpp.errors import UserError
 from rfpp.model.renderformer_pp import RenderFormerPP
 from rfpp.training.flops import matrix_product_rate, published_peak
@@ -67,22 +66,6 @@ def measurements(groups: Sequence[Mapping[str, Any]], case: Mapping[str, Any]) -
     return list(dict.fromkeys(made))
 
 
-@dataclass(frozen=True)
-class Repeats:
-    """How often each is measured.
-
-    Attributes:
-        warm_up: runs that choose and load kernels, or compile; not counted.
-        least, most: runs that are counted.
-        seconds: after so long no further one than `least`.
-    """
-
-    warm_up: int
-    least: int
-    most: int
-    seconds: float | int
-
-
 def measure(
     compose: Callable[[list[str]], Mapping[str, Any]],
     networks: Mapping[str, Mapping[str, Any]],
@@ -91,6 +74,7 @@ def measure(
     groups: Sequence[Mapping[str, Any]],
     setting: Setting,
     repeats: Repeats,
+    loading: LoaderAndStep | None,
     minutes: float | int,
     finished: str | None,
     progress: Callable[[int, int], None],
@@ -100,7 +84,7 @@ def measure(
     `seconds` is the median; `of_peak` (MFU) is the rate of the operations that the network needs, as a share of what
     the card's maker says it does in products of matrices in this precision; `of_matrix_rate` of what it did in them,
     just now. `peak_GB` is what weights, gradients, moments, batch and activations take at most, as CUDA's allocator
-    counts. What does not fit has a row whose status says so.
+    counts. What does not fit has a row whose status says so. The last row is `loading`'s, with columns of its own.
 
     Args:
         compose: overrides → training's configuration, of which `model` is taken.
@@ -110,6 +94,7 @@ def measure(
         groups: what is measured, in order; see `measurements`.
         setting: where and in which precision; `compile` is each measurement's own.
         repeats: how often.
+        loading: the loader beside a training step; None leaves it out.
         minutes: after so many nothing further is begun; the same command then goes on.
         finished: rows of an earlier part, if the file exists: they come first and are not measured again.
         progress: called with (measurements done, in all).
@@ -127,69 +112,41 @@ def measure(
     setting.apply()
     device = torch.device(setting.where)
     here = {"hardware": hardware(device), "torch": torch.__version__, "precision": setting.precision}
-    missing = [m for m in wanted if not _measured(m, here, known)]
-    if not missing:
-        return
-    rate, peak = matrix_product_rate(device, setting.dtype), published_peak(device, setting.dtype)
-    for done, m in enumerate(missing):
-        progress(len(wanted) - len(missing) + done, len(wanted))
+    missing = [m for m in wanted if not _measured(asdict(m) | here, known)]
+    loads = loading is not None and not _measured(loading.identity | here, known)
+    total = len(wanted) + (loading is not None)
+    done = total - len(missing) - loads
+    if missing:
+        rate, peak = matrix_product_rate(device, setting.dtype), published_peak(device, setting.dtype)
+    for m in missing:
+        progress(done, total)
         if time.monotonic() - begin > 60 * minutes:
             return
         model = compose([*networks[m.network]["overrides"], f"size={m.size}"])["model"]
-        made = Untrained(str(networks[m.network]["name"]), model)
-        result = _measure(made, tasks[m.task], m, setting, repeats)
+        result = _measure(Untrained(str(networks[m.network]["name"]), model), tasks[m.task], m, setting, repeats)
         for quantity in tasks[m.task].quantities:
             yield _row(m, quantity, result, rate, peak) | here | {"device": setting.where}
-    progress(len(wanted), len(wanted))
+        done += 1
+    progress(done, total)
+    if loads and time.monotonic() - begin <= 60 * minutes:
+        yield loading.row(compose, networks, setting, repeats) | here | {"device": setting.where}
+        progress(total, total)
 
 
-@dataclass
+@dataclass(frozen=True)
 class _Result:
-    """Seconds of each quantity run by run, bytes at most, operations of each quantity, tokens; or why not."""
+    """What was measured, operations of each quantity, tokens."""
 
-    seconds: dict[str, list[float]]
-    peak: int | None
+    runs: Runs
     flops: dict[str, float]
     tokens: int
-    first_seconds: float | None
-    status: str = OK
 
 
 def _measure(made: Untrained, task: Task, m: Measurement, setting: Setting, repeats: Repeats) -> _Result:
     on_paper = made("meta")
     shapes = m.case.batch(on_paper.gbuffer_channels, setting.seed).to("meta")
-    flops = task.flops(on_paper, shapes)
-    result = _Result({name: [] for name in task.quantities}, None, flops, _tokens(on_paper, shapes), None)
-    on_gpu = setting.where == "cuda"
-    if on_gpu:
-        torch.cuda.empty_cache()
-        torch.cuda.reset_peak_memory_stats()
-    run = network = None
-    try:
-        network = replace(setting, compile=m.compiled).network(made)
-        batch = m.case.batch(network.gbuffer_channels, setting.seed).to(setting.where)
-        run = task.prepared(network, batch, setting)
-        begin = setting.now()
-        run()
-        result.first_seconds = setting.now() - begin
-        for _ in range(repeats.warm_up - 1):
-            run()
-        begin = setting.now()
-        for count in range(repeats.most):
-            if count >= repeats.least and setting.now() - begin > repeats.seconds:
-                break
-            for name, value in run().items():
-                result.seconds[name].append(value)
-        result.peak = torch.cuda.max_memory_allocated() if on_gpu else None
-    except torch.OutOfMemoryError:
-        result.status = "out of memory"
-    finally:
-        del run, network
-        gc.collect()
-        torch.compiler.reset()
-        if on_gpu:
-            torch.cuda.empty_cache()
-    return result
+    runs = repeated(made, task, m.case, replace(setting, compile=m.compiled), repeats)
+    return _Result(runs, task.flops(on_paper, shapes), _tokens(on_paper, shapes))
 
 
 @torch.no_grad()
@@ -200,21 +157,21 @@ def _tokens(network: RenderFormerPP, batch: RaggedBatch) -> int:
 
 
 def _row(m: Measurement, quantity: str, result: _Result, rate: float, peak: float | None) -> Row:
-    seconds = result.seconds[quantity]
-    middle = median(seconds) if seconds and result.status == OK else None
+    runs = result.runs
+    seconds, middle = runs.seconds[quantity], runs.median(quantity)
     per_second = result.flops[quantity] / middle if middle else None
     return {
         **asdict(m),
         "quantity": quantity,
-        "status": result.status,
+        "status": runs.status,
         "runs": len(seconds),
         "seconds": middle,
         "seconds_min": min(seconds) if middle else None,
-        "first_seconds": result.first_seconds,
+        "first_seconds": runs.first_seconds,
         "scenes_per_s": m.scenes / middle if middle else None,
         "triangles_per_s": m.scenes * m.triangles / middle if middle else None,
         "tokens_per_s": result.tokens / middle if middle else None,
-        "peak_GB": result.peak / GB if result.peak and result.status == OK else None,
+        "peak_GB": runs.peak / GB if runs.peak and middle else None,
         "TFLOP": result.flops[quantity] / 1e12,
         "TFLOP_per_s": per_second and per_second / 1e12,
         "of_peak": per_second / peak if per_second and peak else None,
@@ -224,6 +181,5 @@ def _row(m: Measurement, quantity: str, result: _Result, rate: float, peak: floa
     }
 
 
-def _measured(m: Measurement, here: Mapping[str, str], known: Sequence[Mapping[str, Any]]) -> bool:
-    wanted = {**asdict(m), **here}
+def _measured(wanted: Mapping[str, Any], known: Sequence[Mapping[str, Any]]) -> bool:
     return any(all(str(row.get(name)) == str(value) for name, value in wanted.items()) for row in known)

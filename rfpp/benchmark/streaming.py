@@ -4,19 +4,16 @@ from __future__ import annotations
 
 import os
 import tempfile
-import time
-import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain, islice, repeat
 from pathlib import Path
 from statistics import median
 
-import lightning as L
-import psutil
 import webdataset
 
 from rfpp.benchmark.invented import InventedData, StoredData
+from rfpp.benchmark.loader_pace import Stopwatch, loader_pace
 from rfpp.shards.index import SampleEntry
 from rfpp.shards.manifest import Manifest
 from rfpp.shards.order import ShuffledOrder
@@ -26,24 +23,6 @@ Row = dict[str, str | int | float]
 
 #: What the paper's training consumes on a node of 8 GPUs: 32 images per step of 1.2 s.
 PAPER_IMAGES_PER_SECOND = 32 / 1.2
-
-_PREFETCHED = 2  # batches that each process of a DataLoader is ahead
-
-
-class _Stopwatch:
-    """Wall and CPU seconds since it was made, the latter with those of the processes that this one started."""
-
-    def __init__(self) -> None:
-        self._begin = self._now()
-
-    def read(self) -> tuple[float, float]:
-        return tuple(now - then for now, then in zip(self._now(), self._begin, strict=True))
-
-    @staticmethod
-    def _now() -> tuple[float, float]:
-        this = psutil.Process()
-        times = [process.cpu_times() for process in (this, *this.children(recursive=True))]
-        return time.perf_counter(), sum(t.user + t.system for t in times)
 
 
 @dataclass(frozen=True)
@@ -151,7 +130,7 @@ def _positioned(data: _DataSet) -> tuple[float, float]:
     where = [(shard.file, entry) for shard in shards for entry in data.manifest.index(shard).samples]
     files = {shard.file: os.open(data.manifest.root / shard.file, os.O_RDONLY) for shard in shards}
     order = ShuffledOrder([shard.samples for shard in shards], data.seed, window=len(shards))
-    watch = _Stopwatch()
+    watch = Stopwatch()
     for _, index in islice(order.draws(), data.scenes):
         file, entry = where[index]
         os.pread(files[file], entry.size, entry.offset)
@@ -164,7 +143,7 @@ def _positioned(data: _DataSet) -> tuple[float, float]:
 def _sequential(data: _DataSet) -> tuple[float, float]:
     """Wall and CPU seconds to take the samples' bytes out of the tars, one after the other."""
     urls = [str(data.manifest.root / shard.file) for shard in data.manifest.shards("train")]
-    watch = _Stopwatch()
+    watch = Stopwatch()
     for _ in islice(_endless(urls), data.scenes):
         pass
     return watch.read()
@@ -175,21 +154,6 @@ def _endless(urls: list[str]) -> Iterator[dict]:
 
 
 def _loader(data: _DataSet, datamodule: SceneDataModule) -> tuple[float, float]:
-    """Wall and CPU seconds from one batch to `batches` later, while every loader process has work before and after."""
-    ahead = 1 + _PREFETCHED * datamodule.workers
-    steps = data.batches + 2 * ahead
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        datamodule.trainer = L.Trainer(
-            max_steps=steps, accelerator="cpu", logger=False, enable_checkpointing=False, enable_progress_bar=False
-        )
-        loader = iter(datamodule.train_dataloader())
-        for _ in range(ahead):
-            next(loader)
-        watch = _Stopwatch()
-        for _ in range(data.batches):
-            next(loader)
-        elapsed = watch.read()
-        for _ in loader:  # PyTorch's processes may abort, with a message, if they are stopped while they send
-            pass
-    return elapsed
+    """Wall and CPU seconds of the training loader."""
+    pace = loader_pace(datamodule, data.batches)
+    return pace.seconds, pace.cpu_seconds

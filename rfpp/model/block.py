@@ -9,6 +9,7 @@ import torch
 import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
+from torch.autograd.function import once_differentiable
 
 from rfpp.model.attention import AttentionPattern, attend
 from rfpp.model.autocast import as_multiplied
@@ -125,26 +126,36 @@ class SwiGLU(nn.Module):
 
     def forward(self, x: Float[Tensor, "n width"]) -> Float[Tensor, "n width"]:
         gate, value = _linears(x, self.in_proj, 2)
-        gated = F.silu(gate) * value if torch.compiler.is_compiling() else _gated(gate, value)
-        out: Tensor = self.out_proj(gated)
-        return out
+        if torch.compiler.is_compiling():  # which decides for itself what to keep
+            out: Tensor = self.out_proj(F.silu(gate) * value)
+            return out
+        return _gated_linear(gate, value, self.out_proj.weight)
 
 
-class _Gate(torch.autograd.Function):
-    """silu(gate) · value, which keeps nothing else for its derivative: half the memory of the widest layer."""
+class _GatedLinear(torch.autograd.Function):
+    """W (silu(gate) · value), which keeps gate and value alone and multiplies them again in the backward pass.
+
+    The product is as wide as either: of the widest layer two thirds are kept, for one elementwise product more. Nor is
+    the weight kept as autocast converts it.
+    """
 
     @staticmethod
-    def forward(ctx: Any, gate: Tensor, value: Tensor) -> Tensor:
-        ctx.save_for_backward(gate, value)
-        return F.silu(gate).mul_(value)
+    def forward(ctx: Any, gate: Tensor, value: Tensor, weight: Tensor) -> Tensor:
+        ctx.save_for_backward(gate, value, weight)
+        return F.linear(F.silu(gate).mul_(value), as_multiplied(weight))
 
     @staticmethod
-    def backward(ctx: Any, grad: Tensor) -> tuple[Tensor, Tensor]:
-        gate, value = ctx.saved_tensors
-        return torch.ops.aten.silu_backward(grad * value, gate), F.silu(gate).mul_(grad)
+    @once_differentiable
+    def backward(ctx: Any, grad: Tensor) -> tuple[Tensor, Tensor, Tensor | None]:
+        gate, value, weight = ctx.saved_tensors
+        grad_gated, open_gate, grad_weight = grad @ weight.to(grad.dtype), F.silu(gate), None
+        if ctx.needs_input_grad[2]:
+            product = grad.flatten(0, -2).T @ (open_gate * value).flatten(0, -2)
+            grad_weight = product.to(weight.dtype)
+        return torch.ops.aten.silu_backward(grad_gated * value, gate), open_gate.mul_(grad_gated), grad_weight
 
 
-_gated: Callable[..., Tensor] = _Gate.apply  # torch's has no types
+_gated_linear: Callable[..., Tensor] = _GatedLinear.apply  # torch's has no types
 
 
 class SelfBlock(nn.Module):

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import cast
+from collections.abc import Callable, Sequence
+from typing import Any, cast
 
+import torch
 import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
+from torch.autograd.function import once_differentiable
 
-from rfpp.model.autocast import in_float32
+from rfpp.model.autocast import as_multiplied, in_float32
 
 LEVELS = 4
 #: Where training starts: about the mean of log10(1 + radiance). At zero, ELU's flat side would swallow the gradient.
@@ -111,8 +113,40 @@ class ResidualConvUnit(nn.Module):
         self.conv2 = nn.Conv2d(channels, channels, 3, padding=1)
 
     def forward(self, x: Tensor) -> Tensor:
-        refined: Tensor = x + self.conv2(F.silu(self.conv1(F.silu(x))))
-        return refined
+        return x + _convolved(self.conv2, _convolved(self.conv1, x))
+
+
+def _convolved(conv: nn.Conv2d, x: Float[Tensor, "n c h w"]) -> Float[Tensor, "n d h w"]:
+    """conv(silu(x))."""
+    if torch.compiler.is_compiling():  # which decides for itself what to keep
+        out: Tensor = conv(F.silu(x))
+        return out
+    return _silu_conv(x, conv.weight, conv.bias, conv.padding)
+
+
+class _SiLUConv(torch.autograd.Function):
+    """conv(silu(x)), which keeps x alone: half the memory of the head's largest maps."""
+
+    @staticmethod
+    def forward(ctx: Any, x: Tensor, weight: Tensor, bias: Tensor, padding: tuple[int, int]) -> Tensor:
+        ctx.save_for_backward(x, weight)
+        ctx.padding = padding
+        x, weight, bias = (as_multiplied(of) for of in (F.silu(x), weight, bias))
+        return F.conv2d(x, weight, bias, padding=padding)
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, grad: Tensor) -> tuple[Tensor | None, ...]:
+        x, weight = ctx.saved_tensors
+        grads = torch.ops.aten.convolution_backward(
+            grad, F.silu(x).to(grad.dtype), weight.to(grad.dtype), [len(weight)], (1, 1), ctx.padding, (1, 1), False,
+            (0, 0), 1, (True, *ctx.needs_input_grad[1:3]),
+        )  # fmt: skip
+        of_weights = (None if of is None else of.to(weight.dtype) for of in grads[1:])
+        return torch.ops.aten.silu_backward(grads[0].to(x.dtype), x), *of_weights, None
+
+
+_silu_conv: Callable[..., Tensor] = _SiLUConv.apply  # torch's has no types
 
 
 def _resize(x: Tensor, size: tuple[int, int]) -> Tensor:

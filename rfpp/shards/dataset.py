@@ -64,13 +64,17 @@ class ShardSplit(Dataset):
         return self.read(index)
 
     def read(
-        self, index: int, choose: ViewChoice | None = None, channels: Collection[str] = tuple(CHANNELS)
+        self,
+        index: int,
+        choose: ViewChoice | None = None,
+        channels: Collection[str] = tuple(CHANNELS),
+        by_light: bool = True,
     ) -> SceneSample:
         """The scene, or the requested parts of it (see `rfpp.shards.sample.decode`)."""
         shard, position = self._locate(index)
         opened, descriptor = self._opened(shard)
         entry = opened.samples[position]
-        return decode(entry.key, shard.members(self.manifest.root, descriptor, entry), choose, channels)
+        return decode(entry.key, shard.members(self.manifest.root, descriptor, entry), choose, channels, by_light)
 
     def key(self, index: int) -> str:
         """The key of a sample, without reading it."""

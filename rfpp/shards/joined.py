@@ -40,10 +40,14 @@ class JoinedSplit(Dataset):
         return self.read(index)
 
     def read(
-        self, index: int, choose: ViewChoice | None = None, channels: Collection[str] = tuple(CHANNELS)
+        self,
+        index: int,
+        choose: ViewChoice | None = None,
+        channels: Collection[str] = tuple(CHANNELS),
+        by_light: bool = True,
     ) -> SceneSample:
         part, inside = self._locate(index)
-        return part.read(inside, choose, channels)
+        return part.read(inside, choose, channels, by_light)
 
     def key(self, index: int) -> str:
         part, inside = self._locate(index)

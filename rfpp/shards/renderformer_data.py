@@ -74,7 +74,10 @@ class Import:
 
         Raises:
             SceneError: naming a file that has no images, or not of the shape of the first.
+            UserError: light by light is wanted, which the files do not have.
         """
+        if data.by_light:
+            raise UserError(f"data.by_light: {self.folder} has images of all lights together: leave it away")
         views, resolution = self._common_shape()
         listing = "\n".join(f"{path.name} {path.stat().st_size}" for path in self.files)
         settings = {

@@ -30,9 +30,16 @@ from rfpp.gbuffer.first_hit import (
     Reflection,
     SeenCells,
 )
-from rfpp.imaging.exr import HALF_MAX, ImageFileError, decode_exr, encode_exr
+from rfpp.imaging.exr import ImageFileError, decode_exr, encode_exr
 from rfpp.scene.triangles import SceneTriangles
-from rfpp.shards.whole import CELL_ENDS, require_whole_cells, require_whole_scene, require_whole_views
+from rfpp.shards.light_layers import LightLayers, decode_lights, encode_lights, require_whole_lights
+from rfpp.shards.whole import (
+    CELL_ENDS,
+    require_half_range,
+    require_whole_cells,
+    require_whole_scene,
+    require_whole_views,
+)
 
 #: Raised whenever a member, a dtype or a meaning changes; data of another version is refused, never guessed at.
 SCHEMA_VERSION = 7
@@ -60,6 +67,7 @@ class SceneSample:
         object_light: [O, 3] float32 radiance that leaves each object by the first bounce (`rfpp.gbuffer.object_light`).
         cells: of the scene (`rfpp.gbuffer.cells`).
         meta: JSON-able: how the scene was made.
+        lights: all of its light apart for each light, where that is stored and was asked for.
     """
 
     key: str
@@ -71,6 +79,7 @@ class SceneSample:
     object_light: Float[np.ndarray, "o 3"]
     cells: Cells
     meta: dict
+    lights: LightLayers | None = None
 
 
 def encode(sample: SceneSample) -> dict[str, bytes]:
@@ -98,7 +107,7 @@ def encode(sample: SceneSample) -> dict[str, bytes]:
         light = {"direct_diffuse": gbuffer.light.diffuse, "direct_glossy": gbuffer.light.glossy}
         reflection = {"reflected_light": gbuffer.reflection.light, "reflected_albedo": gbuffer.reflection.albedo}
         for name, radiance in {"RGB": image, **light, **reflection, HIGHLIGHTS: gbuffer.cells.highlights}.items():
-            _require_half_range(radiance, f"{sample.key}: view {view}: {name}")
+            require_half_range(radiance, f"{sample.key}: view {view}: {name}")
         surface = {
             "normal": gbuffer.normal.astype(np.float16),
             "depth": gbuffer.depth.astype(np.float32),
@@ -111,7 +120,7 @@ def encode(sample: SceneSample) -> dict[str, bytes]:
         members[_SURFACE.format(view)] = encode_exr(surface)
         for member, layers in ((_LIGHT, light), (_REFLECTION, reflection)):
             members[member.format(view)] = encode_exr({name: a.astype(np.float16) for name, a in layers.items()})
-    return members
+    return members if sample.lights is None else members | encode_lights(sample.key, sample.lights)
 
 
 def decode(
@@ -119,6 +128,7 @@ def decode(
     members: Mapping[str, bytes],
     choose: ViewChoice | None = None,
     channels: Collection[str] = tuple(CHANNELS),
+    by_light: bool = True,
 ) -> SceneSample:
     """The inverse of `encode`, for the requested views and channels.
 
@@ -127,6 +137,7 @@ def decode(
         members: member name → bytes.
         choose: the sample's number of views → the numbers of those to decode; None decodes all.
         channels: what is wanted of the G-buffers, which do without direct light or reflection accordingly.
+        by_light: whether the light of each light is wanted, where it is stored.
 
     Raises:
         ShardError: naming the key: a missing or damaged member, another schema.
@@ -159,6 +170,9 @@ def decode(
         images = np.stack([layers(_IMAGE, view)["RGB"] for view in views]).astype(np.float32)
         gbuffers = tuple(_gbuffer(partial(layers, view=view), channels) for view in views)
         require_whole_views(images, gbuffers, len(triangles), len(cells))
+        lights = decode_lights(key, members, views) if by_light else None
+        if lights is not None:
+            require_whole_lights(lights, images, geometry["object_light"], cells)
         return SceneSample(
             key=key,
             triangles=triangles,
@@ -169,6 +183,7 @@ def decode(
             object_light=geometry["object_light"],
             cells=cells,
             meta=meta,
+            lights=lights,
         )
     except KeyError as error:
         raise ShardError(f"{key}: {error} is missing from the sample: generate its shard again") from error
@@ -220,12 +235,3 @@ def _per_triangle(material: np.ndarray, object_offsets: np.ndarray) -> np.ndarra
     if len(material) == object_offsets[-1]:  # also right when every object is a single triangle
         return material
     return np.repeat(material, np.diff(object_offsets), axis=0)
-
-
-def _require_half_range(image: np.ndarray, name: str) -> None:
-    if not np.isfinite(image).all():
-        raise ShardError(f"{name}: NaN or infinite radiance: check the scene's materials and lights")
-    if np.abs(image).max() > HALF_MAX:
-        raise ShardError(
-            f"{name}: radiance {np.abs(image).max():.6g} is beyond half precision ({HALF_MAX:.0f}): lower the emission"
-        )

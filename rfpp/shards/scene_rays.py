@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from functools import cached_property
 from typing import SupportsFloat
 
@@ -29,6 +30,13 @@ class SceneRays:
         self.triangles = triangles
         self._caster = camera_caster(triangles)
         self._lights = LightSampler(triangles)
+
+    def lit_by(self, light: str) -> SceneRays:
+        """The same scene, of which one light shines. Raises UserError if there is none of this name."""
+        alone = copy(self)
+        alone._lights = self._lights.only(light)
+        alone.__dict__.pop("_cells", None)  # of all lights, if they were found before
+        return alone
 
     def first_hit(self, c2w: Float[np.ndarray, "4 4"], fov: SupportsFloat, resolution: int) -> GBuffer:
         """The square G-buffer of one camera, without light (`rfpp.gbuffer.first_hit`)."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -32,10 +32,20 @@ def select_views(sample: SceneSample, views: Sequence[int], channels: Sequence[s
 
 
 def read_views(
-    split: ShardSplit | JoinedSplit, index: int, channels: Sequence[str], choose: ViewChoice | None = None
+    split: ShardSplit | JoinedSplit,
+    index: int,
+    channels: Sequence[str],
+    choose: ViewChoice | None = None,
+    relight: Callable[[SceneSample], SceneSample] | None = None,
 ) -> SceneViews:
-    """`select_views` of the scene at `index`; only what these views and channels need is decoded."""
-    sample = split.read(index, choose, channels)
+    """`select_views` of the scene at `index`; only what these views and channels need is decoded.
+
+    Args:
+        relight: gives the scene other lights, from the light of each of them.
+    """
+    sample = split.read(index, choose, channels, by_light=relight is not None)
+    if relight is not None:
+        sample = relight(sample)
     return replace(select_views(sample, range(len(sample.fov)), channels), bounces=split.bounces(index))
 
 

@@ -1,4 +1,4 @@
-"""Consistency checks of decoded samples, which hashes cannot provide."""
+"""Consistency checks of samples, which hashes cannot provide."""
 
 from __future__ import annotations
 
@@ -6,8 +6,10 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from rfpp.errors import ShardError
 from rfpp.gbuffer.cells import Cells, parts
 from rfpp.gbuffer.first_hit import GBuffer
+from rfpp.imaging.exr import HALF_MAX
 from rfpp.scene.triangles import SceneTriangles
 
 #: Of `Cells`, where rays end.
@@ -55,3 +57,13 @@ def require_whole_views(images: np.ndarray, gbuffers: Sequence[GBuffer], triangl
         rays = () if gbuffer.cells is None else gbuffer.cells.rays.values()
         if any(seen.max(initial=-1) >= cells for seen in rays):
             raise ValueError("a view sees other cells than there are")
+
+
+def require_half_range(image: np.ndarray, name: str) -> None:
+    """Raises ShardError where a picture to be stored is not finite or beyond half precision."""
+    if not np.isfinite(image).all():
+        raise ShardError(f"{name}: NaN or infinite radiance: check the scene's materials and lights")
+    if np.abs(image).max() > HALF_MAX:
+        raise ShardError(
+            f"{name}: radiance {np.abs(image).max():.6g} is beyond half precision ({HALF_MAX:.0f}): lower the emission"
+        )

@@ -1,9 +1,10 @@
-"""Training views of stored scenes, with rigid and colour augmentation."""
+"""Training views of stored scenes, with augmentation: rigid, of colours, of lights."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import islice
 
 import numpy as np
@@ -11,11 +12,14 @@ from scipy.spatial.transform import Rotation
 from torch.utils.data import Dataset, Sampler
 
 from rfpp.batch import SceneViews
+from rfpp.errors import UserError
 from rfpp.gbuffer.first_hit import CHANNELS, COLOUR_CHANNELS
 from rfpp.scene.triangles import DIFFUSE, EMISSION, SPECULAR, SceneTriangles
 from rfpp.shards.dataset import ShardSplit
 from rfpp.shards.joined import JoinedSplit
+from rfpp.shards.mixing import mixed
 from rfpp.shards.order import ShuffledOrder
+from rfpp.shards.sample import SceneSample
 from rfpp.shards.views import read_views
 from rfpp.training.dealing import Dealing
 
@@ -79,6 +83,38 @@ class ColourPermutation:
         return replace(views, triangles=triangles, gbuffer=gbuffer, image=image, object_light=light, cells=cells)
 
 
+@dataclass(frozen=True)
+class LightMixing:
+    """Gives every light of a stored scene another intensity and colour; references and known light follow exactly.
+
+    For data sets that hold the light of each light apart (`data.by_light`). Not in the paper.
+
+    Args:
+        power: intensities are multiplied by 1 / power to power, uniformly in their logarithm.
+        saturation: 0 leaves lights' colours as they are; else red, green and blue are multiplied each by a number
+            between 1 - saturation and 1.
+
+    Raises:
+        UserError: a power below 1, or a saturation that is not between 0 and 1.
+    """
+
+    power: float | int
+    saturation: float | int
+
+    def __post_init__(self) -> None:
+        if self.power < 1 or not 0 <= self.saturation < 1:
+            raise UserError(
+                f"light_augmentation: power={self.power}, saturation={self.saturation}: use a power of 1 or more and a "
+                "saturation from 0 to below 1"
+            )
+
+    def __call__(self, sample: SceneSample, rng: np.random.Generator) -> SceneSample:
+        """Raises ShardError for a sample whose lights are not stored apart."""
+        lights = sample.triangles.num_lights
+        power = self.power ** rng.uniform(-1, 1, (lights, 1))
+        return mixed(sample, power * rng.uniform(1 - self.saturation, 1, (lights, 3)))
+
+
 class TrainingViews(Dataset):
     """Random views of a split's scenes, a pure function of (seed, epoch, scene).
 
@@ -88,6 +124,7 @@ class TrainingViews(Dataset):
         views_per_scene: views drawn without replacement from each scene's.
         rigid, colour: augmentations applied to each draw, or None.
         seed: of the draws.
+        lights: the same, of lights.
     """
 
     def __init__(
@@ -98,15 +135,21 @@ class TrainingViews(Dataset):
         rigid: RigidAugmentation | None,
         colour: ColourPermutation | None,
         seed: int,
+        lights: LightMixing | None = None,
     ):
         self.split, self.channels = split, tuple(channels)
         self.views_per_scene, self.rigid, self.colour, self.seed = views_per_scene, rigid, colour, seed
+        self.lights = lights
 
     def __getitem__(self, draw: tuple[int, int]) -> SceneViews:
         epoch, index = draw
         rng = np.random.default_rng(np.random.SeedSequence([self.seed, epoch, index]))
         chosen = read_views(
-            self.split, index, self.channels, lambda views: rng.permutation(views)[: self.views_per_scene].tolist()
+            self.split,
+            index,
+            self.channels,
+            lambda views: rng.permutation(views)[: self.views_per_scene].tolist(),
+            self.lights and partial(self.lights, rng=rng),
         )
         if self.rigid:
             chosen = self.rigid(chosen, rng)

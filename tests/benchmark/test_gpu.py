@@ -16,31 +16,38 @@ SMALL = (
     "benchmark.repeats.least=2", "benchmark.repeats.most=2",
     "benchmark.case={size: tiny, compiled: false, triangles: 60, objects: 5, views: 1, resolution: 16, scenes: 1}",
 )  # fmt: skip
+LOADING = (
+    "family@benchmark.loading.data.family=quickstart", "benchmark.loading.data.scenes=2",
+    "benchmark.loading.data.data.scenes_per_shard=1", "benchmark.loading.data.data.resolution=16",
+    "benchmark.loading.data.farm.workers=1", "benchmark.loading.datamodule.workers=1", "benchmark.loading.batches=2",
+    "benchmark.loading.rounds=1", "benchmark.loading.size=tiny", "benchmark.loading.compiled=false",
+)  # fmt: skip
 GROUPS = (
     "benchmark.groups=[{task: training_step, network: [rfpp, renderformer]}, {task: inference, network: known_light}]"
 )
 
 
-def config(output, *overrides):
+def config(output, *overrides, loading=("benchmark.loading=null",)):
     with initialize_config_dir(str(CONFIG_DIR), version_base="1.3"):
-        return compose("benchmark", overrides=["benchmark=gpu", f"output={output}", *SMALL, *overrides])
+        return compose("benchmark", overrides=["benchmark=gpu", f"output={output}", *SMALL, *loading, *overrides])
 
 
 @pytest.fixture(scope="module")
 def rows(tmp_path_factory):
     output = tmp_path_factory.mktemp("gpu") / "gpu.csv"
-    main.__wrapped__(config(output, GROUPS))
+    main.__wrapped__(config(output, GROUPS, loading=LOADING))
     return output, list(csv.DictReader(output.open()))
 
 
 def test_every_measurement_has_its_rows(rows):
-    found = {(row["task"], row["network"], row["quantity"]) for row in rows[1]}
+    *measured, _ = rows[1]
+    found = {(row["task"], row["network"], row["quantity"]) for row in measured}
     assert found == {
         ("training_step", "rfpp", "training_step"),
         ("training_step", "renderformer", "training_step"),
         *(("inference", "known_light", quantity) for quantity in ("encode", "view", "render")),
     }
-    for row in rows[1]:
+    for row in measured:
         assert row["status"] == "ok" and float(row["seconds"]) > 0 and float(row["TFLOP"]) > 0
         assert int(row["runs"]) == 2
         per_second = float(row["TFLOP"]) / float(row["seconds"])
@@ -50,12 +57,26 @@ def test_every_measurement_has_its_rows(rows):
         assert float(row["tokens_per_s"]) * float(row["seconds"]) == pytest.approx(tokens, rel=1e-3)
 
 
+def test_the_loader_stands_beside_the_step_it_feeds(rows):
+    *others, row = rows[1]
+    assert row["task"] == row["quantity"] == "loading" and row["status"] == "ok"
+    assert (row["scenes"], row["views"], row["resolution"], row["workers"]) == ("2", "2", "16", "1")
+    assert int(row["triangles"]) > 100 and int(row["objects"]) > 2
+    loaded, consumed = float(row["images_per_s"]), float(row["step_images_per_s"])
+    assert loaded == pytest.approx(2 * float(row["scenes_per_s"]), rel=1e-3)
+    assert loaded == pytest.approx(4 / float(row["seconds"]), rel=1e-3)
+    assert consumed == pytest.approx(4 / float(row["step_seconds"]), rel=1e-3)
+    assert float(row["of_step"]) == pytest.approx(loaded / consumed, rel=1e-3)
+    assert {other["images_per_s"] for other in others} == {""}
+
+
 def test_the_same_command_goes_on_and_measures_nothing_twice(rows, tmp_path):
     output = tmp_path / "gpu.csv"
     output.write_bytes(rows[0].read_bytes())
-    again = main.__wrapped__(config(output, GROUPS))
+    again = main.__wrapped__(config(output, GROUPS, loading=LOADING))
     assert [row["seconds"] for row in again] == [row["seconds"] for row in rows[1]]
-    further = main.__wrapped__(config(output, GROUPS, "benchmark.minutes=0", "benchmark.case.scenes=2"))
+    more = ("benchmark.minutes=0", "benchmark.case.scenes=2", "benchmark.loading.size=small")
+    further = main.__wrapped__(config(output, GROUPS, *more, loading=LOADING))
     assert len(further) == len(again), "nothing is begun when the time is up"
 
 
@@ -65,9 +86,10 @@ def test_memory_that_is_not_there_is_a_row(tmp_path, monkeypatch):
 
     monkeypatch.setattr("rfpp.benchmark.cost.tasks.TrainingStep.prepared", greedy)
     output = tmp_path / "gpu.csv"
-    main.__wrapped__(config(output, "benchmark.groups=[{task: training_step, network: rfpp}]"))
-    (row,) = csv.DictReader(output.open())
+    main.__wrapped__(config(output, "benchmark.groups=[{task: training_step, network: rfpp}]", loading=LOADING))
+    row, loading = csv.DictReader(output.open())
     assert row["status"] == "out of memory" and row["seconds"] == "" and float(row["TFLOP"]) > 0
+    assert loading["status"] == "out of memory" and float(loading["images_per_s"]) > 0 and loading["of_step"] == ""
 
 
 def test_groups_are_combinations_each_once():

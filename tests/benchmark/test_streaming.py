@@ -27,7 +27,8 @@ def datamodule(root, workers):
     return SceneDataModule(
         root=root, workers=workers, cache=ShardCache("unused", 1), gbuffer_channels=("albedo",), scenes_per_step=2,
         scenes_per_device=None, dealing=InOrder(), views_per_scene=2, training_scenes=None, validation_scenes=1,
-        shuffle_shards=4, skip_corrupt=False, rigid_augmentation=None, colour_augmentation=None, seed=0,
+        shuffle_shards=4, skip_corrupt=False, rigid_augmentation=None, colour_augmentation=None,
+        light_augmentation=None, seed=0,
     )  # fmt: skip
 
 

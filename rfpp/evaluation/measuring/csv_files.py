@@ -89,15 +89,16 @@ def read_buckets(folder: Path, metrics: Sequence[str]) -> list[Bucket]:
 
 
 def write_rows(path: Path, rows: Sequence[Row]) -> Path:
-    """A CSV file of rows with the same keys, numbers to seven digits; returns its path.
+    """A CSV file of rows, numbers to seven digits; returns its path. A key that a row has not got is an empty cell.
 
     Raises:
         UserError: it cannot be written.
     """
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow(rows[0])
-    writer.writerows(_cells(row.values()) for row in rows)
+    names = list(dict.fromkeys(name for row in rows for name in row))
+    writer.writerow(names)
+    writer.writerows(_cells(row.get(name) for name in names) for row in rows)
     return write_atomically(path, stream.getvalue().encode())
 
 
