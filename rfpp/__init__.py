@@ -9,6 +9,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from rfpp.inference.differentiable import DifferentiableRenderer
     from rfpp.inference.renderer import Renderer
     from rfpp.scene.io.loading import load_scene
     from rfpp.scene.io.saving import save_scene
@@ -20,10 +21,11 @@ if TYPE_CHECKING:
 if "OMP_WAIT_POLICY" not in os.environ:
     os.environ.setdefault("GOMP_SPINCOUNT", "3000")
 
-__all__ = ["Renderer", "Scene", "load_scene", "save_scene"]
+__all__ = ["DifferentiableRenderer", "Renderer", "Scene", "load_scene", "save_scene"]
 
 #: Where these are. They take their time to import: only who asks for one should wait for it.
 _MODULES = {
+    "DifferentiableRenderer": "rfpp.inference.differentiable",
     "Renderer": "rfpp.inference.renderer",
     "Scene": "rfpp.scene.spec",
     "load_scene": "rfpp.scene.io.loading",

@@ -14,6 +14,7 @@ from rfpp.gbuffer.direct_light import gathered
 from rfpp.gbuffer.light_sampler import LightSampler
 from rfpp.gbuffer.ray_ends import follow_rays
 from rfpp.gbuffer.surface import Surface, cosine_directions, lattice
+from rfpp.gbuffer.traces import Trace
 from rfpp.scene.triangles import DIFFUSE, EMISSION, ROUGHNESS, SPECULAR, SceneTriangles
 
 #: Rays from each cell that say which cells it sees.
@@ -24,8 +25,27 @@ _POINTS, _POINTS_PER_BOX = 128, 8
 _SEEN = 16
 
 
+@dataclass(frozen=True, eq=False)
+class CellSources:
+    """What the numbers of C cells are made of.
+
+    Attributes:
+        triangle, cell: of the points whose means reflectance and emission are.
+        highlights: where highlights come from.
+    """
+
+    triangle: Int[np.ndarray, " p"]
+    cell: Int[np.ndarray, " p"]
+    highlights: Trace
+
+
 def find_cells(sampler: LightSampler) -> tuple[Cells, CellMap]:
-    """The cells of a scene and where they are. The same scene gives the same numbers.
+    """The cells of a scene and where they are. The same scene gives the same numbers."""
+    return find_cells_and_sources(sampler)[:2]
+
+
+def find_cells_and_sources(sampler: LightSampler) -> tuple[Cells, CellMap, CellSources]:
+    """As `find_cells`, and what their numbers are made of.
 
     Sides that no light reaches, as the inside of a closed object, are no cells. What is seen of a cell is what counts:
     where a wall goes on behind another one, or an object stands on the floor, no light arrives and none is seen. So
@@ -70,7 +90,10 @@ def find_cells(sampler: LightSampler) -> tuple[Cells, CellMap]:
         hits=ends.cell.reshape(-1, RAYS).astype(np.int32),
         onward=ends.onward.reshape(-1, RAYS).astype(np.int32),
     )
-    return cells, everywhere
+    highlights = Trace.of(len(cells), RAYS)
+    highlights.triangle[:] = ends.triangle.clip(0).reshape(-1, RAYS)
+    highlights.specular[:] = ends.slope.reshape(-1, RAYS, 3) / RAYS
+    return cells, everywhere, CellSources(seen.triangle, of_cell, highlights)
 
 
 @dataclass(frozen=True, eq=False)

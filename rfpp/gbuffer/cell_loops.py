@@ -17,11 +17,13 @@ from rfpp.gbuffer.lit_scene import (
     alpha_of,
     blurred,
     density_of_lobes,
+    growth,
     met,
     scattering,
     surface_there,
 )
 from rfpp.gbuffer.surface import Points
+from rfpp.gbuffer.traces import Trace
 from rfpp.gbuffer.vectors import GOLDEN, Triple, Vector, dot, in_frame, in_world, normal_of, tangents, triple
 
 #: What a ray's end is called that meets no cell.
@@ -133,10 +135,11 @@ def followed(
     way: Vector,
     density: float,
     key: Key,
-    light: Float[np.ndarray, " 6"],
-) -> tuple[int, int]:
-    """What a ray meets: its cell, the cell in which the ray ends that the glossy lobe there throws on, and, in the
-    first three numbers of `light` [6], the radiance of the emitters that comes back by way of that lobe.
+    light: Float[np.ndarray, "2 3"],
+) -> tuple[int, int, int]:
+    """What a ray meets: its triangle, its cell, and the cell in which the ray ends that the glossy lobe there throws
+    on. In the first row of `light` [2, 3], the radiance of the emitters that comes back by way of that lobe; in the
+    second, its derivative by the specular albedo there.
 
     Onward is NOWHERE in the share in which the lobe, for all that its albedo does not say, sends no light on.
 
@@ -146,30 +149,31 @@ def followed(
     light[:] = 0.0
     triangle, a, b, distance, there = met(scene, ray, origin, way)
     if triangle < 0:
-        return NOWHERE, NOWHERE
+        return triangle, NOWHERE, NOWHERE
     cell = _cell_met(scene, table, triangle, way, there)
     specular = triple(scene.material[triangle, 3:6])
     # a ray that starts on another surface, where two touch, ends where it starts: it is not seen from anywhere
     if scene.emitter[triangle] >= 0 or distance <= 0 or max(specular[0], specular[1], specular[2]) <= 0:
-        return cell, NOWHERE
+        return triangle, cell, NOWHERE
     point, normal, back = surface_there(scene, triangle, a, b, way, there)
     alpha = blurred(alpha_of(scene, triangle), density)
     first, second = tangents(normal)
     view = in_frame(back, first, second, normal)
     if view[2] <= 0:
-        return cell, NOWHERE
+        return triangle, cell, NOWHERE
     of_light = key_of(key, _LIGHT)
-    direct_at(scene, ray, point, normal, back, alpha, specular, 1, of_light, False, light[3:], light[:3])
+    direct_at(scene, ray, point, normal, back, alpha, specular, 1, of_light, False, light[1], light[0])
     for c in range(3):
-        light[c] *= specular[c]
+        light[1, c] = light[0, c] * (1 + specular[c] * growth(scene, view[2], alpha, specular[c]))
+        light[0, c] *= specular[c]
     sent, way = thrown(
         scene, view, alpha, specular, uniform(key, _WAY_U), uniform(key, _WAY_V), uniform(key, _SENT), first, second,
         normal,
     )  # fmt: skip
     if not sent:
-        return cell, NOWHERE
-    triangle, _, _, _, there = met(scene, ray, point, way)
-    return cell, (_cell_met(scene, table, triangle, way, there) if triangle >= 0 else NOWHERE)
+        return triangle, cell, NOWHERE
+    other, _, _, _, there = met(scene, ray, point, way)
+    return triangle, cell, (_cell_met(scene, table, other, way, there) if other >= 0 else NOWHERE)
 
 
 @compiled
@@ -213,15 +217,17 @@ def follow_each(
     cell: Int[np.ndarray, " r"],
     onward: Int[np.ndarray, " r"],
     light: Float[np.ndarray, "r 3"],
+    triangle: Int[np.ndarray, " r"],
+    slope: Float[np.ndarray, "r 3"],
 ) -> None:
     """Rays one by one; see `followed`."""
-    ray, found = new_ray(), np.zeros(6)
+    ray, found = new_ray(), np.zeros((2, 3))
     for row in range(start, stop):
         of_ray = key_of(key, row)
-        cell[row], onward[row] = followed(
+        triangle[row], cell[row], onward[row] = followed(
             scene, table, ray, triple(origins[row]), triple(ways[row]), density[row], of_ray, found
         )
-        light[row] = found[:3]
+        light[row], slope[row] = found[0], found[1]
 
 
 @compiled
@@ -239,6 +245,7 @@ def cells_seen(
     diffuse_on: Int[np.ndarray, "pixels rays"],
     glossy_on: Int[np.ndarray, "pixels rays"],
     light: Float[np.ndarray, "pixels 3"],
+    trace: Trace,
 ) -> None:
     """The cells that pixels see; see `SeenCells`, whose arrays these fill in.
 
@@ -247,8 +254,9 @@ def cells_seen(
         point_of: [pixels, points of each] rows of the points, -1 for none.
         width: of the image in pixels.
         light: [pixels, 3] highlights.
+        trace: of `light`, to fill in (`rfpp.gbuffer.traces.Trace`).
     """
-    ray, found = new_ray(), np.zeros(6)
+    ray, found, traced = new_ray(), np.zeros((2, 3)), trace.triangle.shape[1] > 0
     rays = diffuse.shape[1]
     for pixel in range(start, stop):
         own_key = key_of(key, pixel)
@@ -275,9 +283,15 @@ def cells_seen(
             density = density_of_lobes(mean_diffuse, mean_specular, toward[2], by_lobe)
             way = in_world(toward, first, second, normal)
             of_ray = key_of(own_key, 2 * s)
-            diffuse[pixel, s], diffuse_on[pixel, s] = followed(scene, table, ray, point, way, density, of_ray, found)
+            triangle, diffuse[pixel, s], diffuse_on[pixel, s] = followed(
+                scene, table, ray, point, way, density, of_ray, found
+            )
             for c in range(3):
-                light[pixel, c] += found[c] / rays
+                light[pixel, c] += found[0, c] / rays
+            if traced and triangle >= 0:
+                trace.triangle[pixel, s] = triangle
+                for c in range(3):
+                    trace.specular[pixel, s, c] = found[1, c] / rays
             if alpha < 0:
                 continue
             # each ray of a pixel is absorbed above a threshold of its own
@@ -287,7 +301,7 @@ def cells_seen(
                 continue
             toward = in_frame(way, first, second, normal)
             density = density_of_lobes(mean_diffuse, mean_specular, toward[2], lobe_and_pdf(view, toward, alpha)[1])
-            glossy[pixel, s], glossy_on[pixel, s] = followed(
+            _, glossy[pixel, s], glossy_on[pixel, s] = followed(
                 scene, table, ray, point, way, density, key_of(own_key, 2 * s + 1), found
             )
 

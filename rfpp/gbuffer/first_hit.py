@@ -12,6 +12,7 @@ from jaxtyping import Float, Int
 from rfpp.errors import UserError
 from rfpp.gbuffer.compiled import compiled
 from rfpp.gbuffer.raycast import RayCaster
+from rfpp.gbuffer.traces import Trace
 from rfpp.gbuffer.vectors import normal_of
 from rfpp.scene.camera import pixel_plane, pixel_rays
 from rfpp.scene.triangles import DIFFUSE, ROUGHNESS, SPECULAR, SceneTriangles
@@ -67,10 +68,12 @@ class Reflection:
         light: [H, W, 3] float32: times the specular albedo it is outgoing radiance.
         albedo: [H, W, 3] float32 diffuse plus specular albedo of what is reflected, weighted as the light is.
             Both are zeros where nothing is hit, nothing shines, or nothing is reflected.
+        trace: where the light comes from, of the hits row by row, if it was asked for.
     """
 
     light: Float[np.ndarray, "h w 3"]
     albedo: Float[np.ndarray, "h w 3"]
+    trace: Trace | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,6 +85,7 @@ class SeenCells:
         glossy: [H, W, S] int32: rays as the glossy lobe sends them.
         diffuse_onward, glossy_onward: [H, W, S] int32: what the glossy lobe throws on from where those end.
         highlights: [H, W, 3] float32 irradiance / π: the emitters' light that glossy lobes send to the diffuse rays.
+        trace: where the highlights come from, of the pixels row by row, if it was asked for.
     """
 
     diffuse: Int[np.ndarray, "h w s"]
@@ -89,6 +93,7 @@ class SeenCells:
     diffuse_onward: Int[np.ndarray, "h w s"]
     glossy_onward: Int[np.ndarray, "h w s"]
     highlights: Float[np.ndarray, "h w 3"]
+    trace: Trace | None = None
 
     @property
     def rays(self) -> dict[str, Int[np.ndarray, "h w s"]]:

@@ -14,6 +14,7 @@ from rfpp.gbuffer.first_hit import CELL_RAYS, GBuffer, SeenCells
 from rfpp.gbuffer.light_sampler import LightSampler
 from rfpp.gbuffer.surface import Surface
 from rfpp.gbuffer.threads import over_rows
+from rfpp.gbuffer.traces import Trace
 
 
 def with_cells(
@@ -24,6 +25,7 @@ def with_cells(
     cells: CellMap,
     points: int = 1,
     seed: int = 0,
+    traced: bool = False,
 ) -> GBuffer:
     """The same G-buffer with the cells that its pixels see.
 
@@ -34,6 +36,7 @@ def with_cells(
         points: where the G-buffer has so many points along each side of a pixel, its rays start from them in turn, and
             each of them says where all went.
         seed: of the rays' displacement from pixel to pixel; the same seed gives the same numbers.
+        traced: whether it is wanted where highlights come from.
     """
     height, width = (side // points for side in gbuffer.depth.shape)
     surface = Surface.seen(gbuffer, sampler.triangles, c2w, fov)
@@ -43,10 +46,12 @@ def with_cells(
     seen = np.full((4, height * width, CELL_RAYS), NOWHERE, np.int32)
     highlights = np.zeros((height * width, 3), np.float32)
     key = int(np.random.default_rng(seed).integers(1 << 62))
-    image = (of_image, point_of, width, key, *seen, highlights)
+    trace = Trace.of(height * width, CELL_RAYS if traced else 0)
+    image = (of_image, point_of, width, key, *seen, highlights, trace)
     over_rows(height * width, cells_seen, sampler.scene, cells.table, *image)
 
     def at_points(of_pixels: np.ndarray) -> np.ndarray:
         return of_pixels.reshape(height, width, -1).repeat(points, axis=0).repeat(points, axis=1)
 
-    return replace(gbuffer, cells=SeenCells(*map(at_points, (*seen, highlights))))
+    known = trace if traced else None
+    return replace(gbuffer, cells=SeenCells(*map(at_points, (*seen, highlights)), trace=known))

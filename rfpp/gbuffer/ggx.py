@@ -137,6 +137,24 @@ def scattered(
 
 
 @compiled
+def scattering_growth(
+    albedo: Float[np.ndarray, "table table"],
+    mean: Float[np.ndarray, " table"],
+    cosine: float,
+    alpha: float,
+    specular: float,
+) -> float:
+    """How fast the logarithm of `scattered` grows with the specular albedo; 0 where that is 0."""
+    if specular <= 0:
+        return 0.0
+    factor, last = scattered(albedo, mean, cosine, alpha, specular), len(mean) - 1
+    u = np.sqrt(alpha) * last
+    i = max(min(int(u), last - 1), 0)
+    e_avg = mean[i] * (1 - u + i) + mean[i + 1] * (u - i)
+    return (factor - 1) / (factor * specular * (1 - specular * (1 - e_avg)))
+
+
+@compiled
 def _scattering_each(
     cosine: Float[np.ndarray, " r"],
     alpha: Float[np.ndarray, " r"],

@@ -29,6 +29,7 @@ from rfpp.gbuffer.light_sampler import LightSampler
 from rfpp.gbuffer.pixel_loops import SUMS, find_edges, light_samples, lobe_rays, of_light
 from rfpp.gbuffer.surface import Points, Surface
 from rfpp.gbuffer.threads import over_rows
+from rfpp.gbuffer.traces import Trace
 
 #: Shadow rays of each pixel to each light that look for the edges of shadows, and how many pixels around an edge are
 #: sampled in full.
@@ -44,6 +45,7 @@ def with_known_light(
     seed: int = 0,
     points: int = 1,
     reflects: bool = True,
+    traced: bool = False,
 ) -> GBuffer:
     """The same G-buffer with the direct light at its hits and, if they are wanted, reflections.
 
@@ -54,6 +56,7 @@ def with_known_light(
         seed: of the samples' displacement from pixel to pixel; the same seed gives the same numbers.
         points: where the G-buffer has so many points along each side of a pixel, they share its samples.
         reflects: whether what surfaces reflect of other surfaces is wanted.
+        traced: whether it is wanted where that comes from.
     """
     surface = Surface.seen(gbuffer, sampler.triangles, c2w, fov)
     height, width = (side // points for side in gbuffer.depth.shape)
@@ -63,11 +66,13 @@ def with_known_light(
     keys = np.random.default_rng(seed).integers(1 << 62, size=2).tolist()
     for number in np.flatnonzero(sampler.scene.shining).tolist():
         _add_light(sampler, number, of_image, (height, width), samples, keys[0], diffuse, glossy)
-    over_rows(len(surface), lobe_rays, sampler.scene, of_image, samples, reflects, keys[1], glossy, reflected, albedo)
+    trace = Trace.of(len(surface), samples if traced else 0)
+    image = (of_image, samples, reflects, keys[1], glossy, reflected, albedo, trace)
+    over_rows(len(surface), lobe_rays, sampler.scene, *image)
     maps = np.zeros((4, *gbuffer.depth.shape, 3), np.float32)
     maps[:, gbuffer.hit] = light
     found = replace(gbuffer, light=DirectLight(*maps[:2]))
-    return replace(found, reflection=Reflection(*maps[2:])) if reflects else found
+    return replace(found, reflection=Reflection(*maps[2:], trace if traced else None)) if reflects else found
 
 
 def _add_light(

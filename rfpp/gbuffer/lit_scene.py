@@ -88,6 +88,12 @@ def scattering(scene: LitScene, cosine: float, alpha: float, specular: float) ->
 
 
 @compiled
+def growth(scene: LitScene, cosine: float, alpha: float, specular: float) -> float:
+    """See `rfpp.gbuffer.ggx.scattering_growth`."""
+    return ggx.scattering_growth(scene.albedo, scene.mean_albedo, cosine, alpha, specular)
+
+
+@compiled
 def alpha_of(scene: LitScene, triangle: int) -> float:
     """Of its glossy lobe."""
     roughness = float64(scene.material[triangle, 6])

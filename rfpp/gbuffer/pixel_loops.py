@@ -16,11 +16,13 @@ from rfpp.gbuffer.lit_scene import (
     alpha_of,
     blurred,
     density_of_lobes,
+    growth,
     met,
     scattering,
     surface_there,
 )
 from rfpp.gbuffer.surface import Points
+from rfpp.gbuffer.traces import Trace
 from rfpp.gbuffer.vectors import dot, in_frame, tangents, triple
 
 #: What is summed of the samples of one light, for each point.
@@ -177,6 +179,7 @@ def lobe_rays(
     glossy: Float[np.ndarray, "r 3"],
     light: Float[np.ndarray, "r 3"],
     albedo: Float[np.ndarray, "r 3"],
+    trace: Trace,
 ) -> None:
     """What rays of the glossy lobe bring: of emitters, and of surfaces that are lit by them.
 
@@ -186,8 +189,9 @@ def lobe_rays(
         reflects: whether surfaces are of interest.
         glossy: [R, 3] of the emitters; what light samples have brought, to which it is added.
         light, albedo: [R, 3] to fill in: see `Reflection`.
+        trace: of `light`, to fill in (`rfpp.gbuffer.traces.Trace`).
     """
-    ray = new_ray()
+    ray, traced = new_ray(), trace.triangle.shape[1] > 0
     diffuse_there, glossy_there = np.zeros(3), np.zeros(3)
     for row in range(start, stop):
         alpha, specular = points.alpha[row], triple(points.specular[row])
@@ -232,11 +236,23 @@ def lobe_rays(
                     reflected / by_lobe * (material[c] * diffuse_there[c] + material[3 + c] * glossy_there[c])
                 )
                 albedo[row, c] += reflected / by_lobe * (material[c] + material[3 + c])
+            if not traced:
+                continue
+            trace.triangle[row, s] = triangle
+            cosine = dot(its_normal, back)
+            for c in range(3):
+                more = growth(scene, cosine, its_alpha, its_specular[c]) if shines else 0.0
+                trace.diffuse[row, s, c] = reflected / by_lobe * diffuse_there[c]
+                trace.specular[row, s, c] = reflected / by_lobe * glossy_there[c] * (1 + its_specular[c] * more)
         for c in range(3):
             factor = scattering(scene, view[2], alpha, specular[c])
             glossy[row, c] = (glossy[row, c] + emitted[c] / count) * factor
             light[row, c] *= factor / count
             albedo[row, c] *= factor / count
+            if traced:
+                trace.growth[row, c] = growth(scene, view[2], alpha, specular[c])
+                trace.diffuse[row, :, c] *= factor / count
+                trace.specular[row, :, c] *= factor / count
 
 
 @compiled

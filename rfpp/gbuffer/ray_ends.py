@@ -29,11 +29,15 @@ class RayEnds(NamedTuple):
         onward: the cell in which the ray ends that the glossy lobe throws on; NOWHERE for none, and in the share in
             which the lobe, for all that its albedo does not say, sends no light on.
         highlights: radiance of the emitters that comes back along the ray by way of the glossy lobe.
+        triangle: on which the ray ends; -1 for none.
+        slope: derivative of the highlights by the specular albedo there.
     """
 
     cell: Int[np.ndarray, " r"]
     onward: Int[np.ndarray, " r"]
     highlights: Float[np.ndarray, "r 3"]
+    triangle: Int[np.ndarray, " r"]
+    slope: Float[np.ndarray, "r 3"]
 
 
 def follow_rays(
@@ -50,7 +54,9 @@ def follow_rays(
         density: per solid angle, with which the surfaces that rays leave send them this way.
     """
     count = len(origin)
-    ends = RayEnds(np.empty(count, np.int64), np.empty(count, np.int64), np.empty((count, 3)))
+    cell, onward, triangle = np.empty((3, count), np.int64)
+    highlights, slope = np.empty((2, count, 3))
+    ends = RayEnds(cell, onward, highlights, triangle, slope)
     key = int(rng.integers(1 << 62))
     over_rows(count, follow_each, sampler.scene, cells.table, origin, way, density, key, *ends)
     return ends

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from rfpp.gbuffer.cell_finding import find_cells
+from rfpp.gbuffer.cell_finding import CellSources, find_cells_and_sources
 from rfpp.gbuffer.cell_loops import NOWHERE
 from rfpp.gbuffer.cells import CellMap, Cells
 from rfpp.gbuffer.first_hit import (
@@ -40,7 +40,7 @@ _SAMPLER_BYTES_PER_TRIANGLE = 8
 #: Of a GBuffer: triangle, normal and depth.
 _BYTES_PER_PIXEL = 20
 #: What cells keep, about: of small scenes more of them than triangles.
-_CELL_BYTES_PER_TRIANGLE = 500
+_CELL_BYTES_PER_TRIANGLE = 1000
 #: Of the light of one.
 _BYTES_PER_OBJECT = 12
 
@@ -81,21 +81,43 @@ class GBufferSource:
         height, width = points * height, points * width
         if not self.channels:
             return lambda view: np.zeros((0, height, width), np.float32)
+        seen, material = self.seen(scene, height, width, light_samples, points, light), scene.triangles.material
+        return lambda view: stack_channels(seen(view), material, scene.fov[view], self.channels)
+
+    def seen(
+        self,
+        scene: PackedScene,
+        height: int,
+        width: int,
+        light_samples: int,
+        points: int = 1,
+        light: str | None = None,
+        traced: bool = False,
+    ) -> Callable[[int], GBuffer]:
+        """View number → all that `channels` are made of.
+
+        Args:
+            height, width: of the G-buffer.
+            others: see `of`.
+            traced: whether it is wanted where light comes from (`rfpp.gbuffer.traces`).
+        """
         triangles = scene.triangles
         geometry = _geometry(triangles)
 
-        def channels(view: int) -> Float[np.ndarray, "c h w"]:
+        def of_view(view: int) -> GBuffer:
             c2w, fov = scene.c2w[view], scene.fov[view]
             gbuffer = self._first_hit(triangles, geometry, c2w, fov, height, width)
             seen, lights = (c2w, fov), partial(self._lights, triangles, geometry, light)
             if self._wants(DIRECT_CHANNELS) or self._wants(REFLECTION_CHANNELS):
                 reflects = self._wants(REFLECTION_CHANNELS)
-                gbuffer = with_known_light(gbuffer, *seen, lights(), light_samples, points=points, reflects=reflects)
+                how = {"points": points, "reflects": reflects, "traced": traced}
+                gbuffer = with_known_light(gbuffer, *seen, lights(), light_samples, **how)
             if self._wants((*CELL_CHANNELS, HIGHLIGHTS)):
-                gbuffer = with_cells(gbuffer, *seen, lights(), self._cells(triangles, geometry, light)[1], points)
-            return stack_channels(gbuffer, triangles.material, fov, self.channels)
+                cells = self._cells(triangles, geometry, light)[1]
+                gbuffer = with_cells(gbuffer, *seen, lights(), cells, points, traced=traced)
+            return gbuffer
 
-        return channels
+        return of_view
 
     def _wants(self, channels: Collection[str]) -> bool:
         return not set(self.channels).isdisjoint(channels)
@@ -121,10 +143,16 @@ class GBufferSource:
         }
         return {name: known[name]() for name in names}
 
-    def _cells(self, triangles: SceneTriangles, geometry: bytes, light: str | None) -> tuple[Cells, CellMap]:
+    def cell_sources(self, triangles: SceneTriangles) -> CellSources:
+        """What the numbers of `cells` are made of."""
+        return self._cells(triangles, _geometry(triangles), None)[2]
+
+    def _cells(
+        self, triangles: SceneTriangles, geometry: bytes, light: str | None
+    ) -> tuple[Cells, CellMap, CellSources]:
         key = ("cells", geometry, digest_of(triangles.material), light)
         size = _CELL_BYTES_PER_TRIANGLE * len(triangles)
-        return self._kept.recall(key, size, lambda: find_cells(self._lights(triangles, geometry, light)))
+        return self._kept.recall(key, size, lambda: find_cells_and_sources(self._lights(triangles, geometry, light)))
 
     def _first_hit(
         self,

@@ -71,6 +71,15 @@ class ObjectEncoder:
         """As `RenderFormerPP.tokenize`, for a batch on the CPU."""
         exposure = self.network.exposure(batch)
         batch = batch.dimmed(exposure)
+        whole = SceneTokens.joined(self.each(batch), batch.scenes.lengths)
+        return exposure.to(self.device), self.network.source(whole, batch)
+
+    def each(self, batch: RaggedBatch) -> list[SceneTokens]:
+        """The tokens of every object.
+
+        Args:
+            batch: on the CPU, at its exposure.
+        """
         keys = object_keys(batch, self.network.tokenizer.reads)
         tokens = {key: self._kept.get(key) for key in keys}
         missing = {key: number for number, key in enumerate(keys) if tokens[key] is None}
@@ -80,8 +89,7 @@ class ObjectEncoder:
             for number, part in zip(numbers, made, strict=True):
                 tokens[keys[number]] = part
                 self._kept.put(keys[number], part, _bytes(part))
-        whole = SceneTokens.joined([tokens[key] for key in keys], batch.scenes.lengths)
-        return exposure.to(self.device), self.network.source(whole, batch)
+        return [tokens[key] for key in keys]
 
     def _made(self, batch: RaggedBatch, chunks: Sequence[list[int]]) -> Iterator[list[SceneTokens]]:
         """The tokens of each object of each chunk."""

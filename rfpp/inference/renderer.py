@@ -308,7 +308,8 @@ class Renderer:
             why = "the network's weights are not finite, its training diverged: take an earlier checkpoint"
         raise UserError(f"{what}: {wrong} of {image.size // 3} pixels are not finite: {why}")
 
-    def _autocast(self) -> torch.autocast:
+    def autocast(self) -> torch.autocast:
+        """Of matrix products."""
         return torch.autocast(self.device.type, self.dtype, enabled=self.dtype != torch.float32)
 
     def _encoded_once(
@@ -330,14 +331,14 @@ class Renderer:
     def _encode(self, batch: RaggedBatch, plan: Plan) -> EncodedScenes:
         if plan.transports is not None:
             return self._encode_each(batch, plan)[-1]
-        with self._autocast():
+        with self.autocast():
             return self.network.transported(*self._tokenize(batch))
 
     @torch.inference_mode()
     def _encode_each(self, batch: RaggedBatch, plan: Plan) -> list[EncodedScenes]:
         """After k = 0 … applications of the operator."""
         count = self.network.iterations if plan.transports is None else plan.transports
-        with self._autocast():
+        with self.autocast():
             return self.network.transported_each(*self._tokenize(batch), count)[0]
 
     def _tokenize(self, batch: RaggedBatch) -> tuple[Float[Tensor, " b"], SceneTokens]:
@@ -349,7 +350,7 @@ class Renderer:
     def _decode(self, encoded: EncodedScenes, view: View, plan: Plan) -> Float[np.ndarray, "height width 3"]:
         c2w, fov, gbuffer = view
         camera, seen = (c2w.to(self.device), fov.to(self.device)), torch.from_numpy(gbuffer[None, None])
-        with self._autocast():
+        with self.autocast():
             log_radiance = self.network.view(encoded, *camera, seen.to(self.device), plan.points, plan.stride)
         return log_decode(log_radiance)[0, 0].permute(1, 2, 0).clamp_min(0).cpu().numpy()
 
