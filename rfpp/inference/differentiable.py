@@ -14,7 +14,7 @@ from rfpp.imaging.radiance import log_decode
 from rfpp.inference.materials import Materials, MaterialTensors
 from rfpp.inference.memory import require_memory
 from rfpp.inference.renderer import Plan, Renderer
-from rfpp.inference.tangents import KnownLight
+from rfpp.inference.tangents import KnownLight, amount_of
 from rfpp.model.renderformer_pp import EncodedScenes
 from rfpp.model.tokenizer import SceneTokens
 from rfpp.scene.packed import PackedScene, pack
@@ -22,6 +22,8 @@ from rfpp.scene.spec import Camera, Scene
 
 #: Of each point that is shaded, for the way back; measured with rfpp-tiny at 2 × 2 points a pixel, 64² and 128².
 _BYTES_PER_POINT = 8000
+#: Half the step of differences by roughness.
+_STEP = 0.02
 
 
 class DifferentiableRenderer:
@@ -32,12 +34,13 @@ class DifferentiableRenderer:
         image = renderer.render(scene, {"ball": {"diffuse": colour}}, resolution=64)
         (image - target).abs().mean().backward()
 
-    Gradients pass through the network, through light that is gathered from cells, and through known light. Geometry
-    and all that depends on it are held fixed: what is seen, where rays go and end, and which cells there are. By
-    diffuse and specular albedo and by emission they are those of the same rays, whatever the number of objects; by
-    roughness, which changes where rays go, the derivative of known light is a central difference (± 0.02) with the
-    same random numbers: two more passes over the rays for each object. Each light whose emission is asked for is one
-    more pass.
+    Gradients by diffuse and specular albedo and by emission pass through the network, through light that is gathered
+    from cells, and through known light. They are those of the same rays, whatever the number of objects; each light
+    whose emission is asked for is one more pass over the rays. Geometry and all that depends on it are held fixed: what
+    is seen, where rays go and end, and which cells there are.
+
+    Roughness changes where rays go, so by roughness the image has a central difference (± 0.02) with the same random
+    numbers: two more images for each object whose roughness is asked for.
 
     A material whose specular albedo is exactly 0 has no glossy lobe, and no gradient by specular albedo or roughness.
     Not in the paper.
@@ -88,7 +91,15 @@ class DifferentiableRenderer:
         with self.renderer.autocast():
             encoded = self._encoded(tensors, known, plan)
             views = [self._view(encoded, known.channels(view), packed, view, plan) for view in range(len(packed.fov))]
-        return torch.stack(views)
+        image = torch.stack(views)
+        for name, value in tensors.given["roughness"].items():
+            low, high = max(value.item() - _STEP, 0.0), min(value.item() + _STEP, 1.0)
+            less, more = (
+                self.renderer.render(tensors.with_values({(name, "roughness"): there}), resolution, **sampling)
+                for there in (low, high)
+            )
+            image = image + torch.from_numpy((more - less) / (high - low)).to(image) * amount_of(value)
+        return image
 
     def _encoded(self, tensors: MaterialTensors, known: KnownLight, plan: Plan) -> EncodedScenes:
         """Objects without gradients are those that the renderer knows."""

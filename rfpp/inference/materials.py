@@ -25,7 +25,7 @@ class MaterialTensors:
 
     Attributes:
         scene: with their values.
-        material: [M, 10] as `SceneTriangles` has it, on a device.
+        material: [M, 10] as `SceneTriangles` has it, on a device; its roughness is without gradient.
         given: property → object → its tensor there, of those that ask for a gradient.
     """
 
@@ -49,7 +49,7 @@ class MaterialTensors:
             for what, value in properties.items():
                 _check(what, value, name, shines)
                 value = value.to(device, torch.float32)
-                material[rows, _COLUMNS[what]] = value
+                material[rows, _COLUMNS[what]] = value.detach() if what == "roughness" else value
                 if value.requires_grad:
                     given[what][name] = value
         values = material.detach().cpu().numpy()

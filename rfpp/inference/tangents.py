@@ -1,24 +1,22 @@
 """Known light as a function of materials: its value, and to first order how it changes with them.
 
 Known light comes out of compiled loops that no gradient passes. But it is linear in what lights emit, so its derivative
-by that is the light of one light alone; it is linear in the albedos of what its rays meet but for multiple scattering,
-whose derivative is known, so a record of the rays (`rfpp.gbuffer.traces`) is its derivative by these; and by roughness
-it is a central difference with the same random numbers. Value + Σ derivative · (parameter - its value) is the value,
-and has these derivatives.
+by that is the light of one light alone; and it is linear in the albedos of what its rays meet but for multiple
+scattering, whose derivative is known, so a record of the rays (`rfpp.gbuffer.traces`) is its derivative by these.
+Value + Σ derivative · (parameter - its value) is the value, and has these derivatives.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from rfpp.gbuffer.cells import Cells
-from rfpp.gbuffer.first_hit import CHANNELS, HIGHLIGHTS, LIGHT_CHANNELS, GBuffer, stack_channels
+from rfpp.gbuffer.first_hit import CHANNELS, HIGHLIGHTS, LIGHT_CHANNELS, GBuffer, channel, stack_channels
 from rfpp.gbuffer.traces import Trace
 from rfpp.inference.gbuffers import GBufferSource
 from rfpp.inference.materials import MaterialTensors
@@ -26,39 +24,10 @@ from rfpp.packed_cells import PackedCells
 from rfpp.scene.packed import PackedScene
 from rfpp.scene.triangles import DIFFUSE, ROUGHNESS, SPECULAR
 
-#: Half the step of differences by roughness.
-_STEP = 0.02
 #: Channels that are looked up in materials.
 _LOOKED_UP = {"albedo": DIFFUSE, "specular": SPECULAR, "roughness": ROUGHNESS}
 #: Light of cells that changes with materials.
 _OF_CELLS = ("arriving", "highlights")
-
-
-@dataclass(frozen=True)
-class Direction:
-    """A way in which known light changes: its derivative is a weighted sum of the known light of scenes.
-
-    Attributes:
-        amount: [3] or [], zero, with a gradient.
-        terms: weight, scene, and the light that alone shines in it (None: all).
-    """
-
-    amount: Tensor
-    terms: Sequence[tuple[float, PackedScene, str | None]]
-
-
-def directions(tensors: MaterialTensors) -> list[Direction]:
-    """Those of emission and of roughness."""
-    found, emitted = [], {name: float(x.detach().mean()) for name, x in tensors.given["emissive"].items()}
-    white = tensors.with_values({(name, "emissive"): power for name, power in emitted.items()})
-    for name, value in tensors.given["emissive"].items():
-        found.append(Direction(_amount(value), [(1 / emitted[name], white, name)]))
-    for name, value in tensors.given["roughness"].items():
-        low, high = max(float(value.detach()) - _STEP, 0.0), min(float(value.detach()) + _STEP, 1.0)
-        rough, smooth = (tensors.with_values({(name, "roughness"): there}) for there in (high, low))
-        weight = 1 / (high - low)
-        found.append(Direction(_amount(value), [(weight, rough, None), (-weight, smooth, None)]))
-    return found
 
 
 class KnownLight:
@@ -77,8 +46,12 @@ class KnownLight:
         cast: Callable[[PackedScene, str | None, bool], Callable[[int], GBuffer]],
     ):
         self.source, self.tensors, self.cast = source, tensors, cast
-        self.material, self.amount = tensors.material, _amount(tensors.material)
-        self.directions = directions(tensors)
+        self.device, self.amount = tensors.material.device, amount_of(tensors.material)
+        powers = {name: float(value.detach().mean()) for name, value in tensors.given["emissive"].items()}
+        #: The scene with lights in white, of the power they have: so they are sampled as in the scene itself.
+        self.white = tensors.with_values({(name, "emissive"): power for name, power in powers.items()})
+        #: Of lights: relative changes of their red, green and blue in white.
+        self.lights = {name: amount_of(tensors.given["emissive"][name]) / power for name, power in powers.items()}
 
     def cells(self, value: PackedCells) -> PackedCells:
         """Cells with the derivatives of their reflectances and light.
@@ -98,19 +71,15 @@ class KnownLight:
             "arriving": value.arriving,
             "highlights": value.highlights + self._by_albedo(sources.highlights),
         }
-        for direction in self.directions:
+        for light, amount in self.lights.items():
+            alone = self.source.known_of_scene(self.white.triangles, ("cells",), light)["cells"]
             for name in _OF_CELLS:
-                terms = [weight * getattr(self._cells(scene, light), name) for weight, scene, light in direction.terms]
-                slope = np.sum(terms, axis=0, dtype=np.float32)
-                changed[name] = changed[name] + torch.from_numpy(slope).to(device) * direction.amount
+                changed[name] = changed[name] + torch.from_numpy(getattr(alone, name)).to(device) * amount
         return replace(value, **changed)
-
-    def _cells(self, scene: PackedScene, light: str | None) -> Cells:
-        return self.source.known_of_scene(scene.triangles, ("cells",), light)["cells"]
 
     def channels(self, view: int) -> Float[Tensor, "c h w"]:
         """The channels of a view, with their derivatives."""
-        scene, device, names = self.tensors.scene, self.material.device, self.source.channels
+        scene, device, names = self.tensors.scene, self.device, self.source.channels
         gbuffer = self.cast(scene, None, True)(view)
         stacked = stack_channels(gbuffer, scene.triangles.material, scene.fov[view], names)
         values = {name: torch.from_numpy(x).to(device) for name, x in _split(stacked, names).items()}
@@ -134,19 +103,13 @@ class KnownLight:
             of_pixels = by_albedo.view(hit.shape[0] // points, hit.shape[1] // points, 3).permute(2, 0, 1)
             spread = of_pixels.repeat_interleave(points, 1).repeat_interleave(points, 2)
             changed[HIGHLIGHTS] = values[HIGHLIGHTS] + spread
-        for direction in self.directions:
-            for name, slope in self._slopes(direction, view).items():
-                amounts = direction.amount.view(-1, 1, 1)
-                changed[name] = changed.get(name, values[name]) + torch.from_numpy(slope).to(device) * amounts
+        for light, amount in self.lights.items():
+            alone = self.cast(self.white, light, False)(view)
+            for name in filter(LIGHT_CHANNELS.__contains__, names):
+                of_light = channel(alone, self.white.triangles.material, self.white.fov[view], name)
+                slope = torch.from_numpy(np.moveaxis(of_light, -1, 0)).to(device)
+                changed[name] = changed.get(name, values[name]) + slope * amount[:, None, None]
         return torch.cat([changed.get(name, values[name]) for name in names])
-
-    def _slopes(self, direction: Direction, view: int) -> dict[str, Float[np.ndarray, "3 h w"]]:
-        names = [name for name in self.source.channels if name in LIGHT_CHANNELS]
-        total = 0.0
-        for weight, scene, light in direction.terms:
-            gbuffer = self.cast(scene, light, False)(view)
-            total = total + weight * stack_channels(gbuffer, scene.triangles.material, scene.fov[view], names)
-        return _split(total, names)
 
     def _by_albedo(self, trace: Trace) -> Float[Tensor, "r 3"]:
         """Zeros, with the derivatives of the light at R places by the albedos of what rays have met."""
@@ -156,7 +119,7 @@ class KnownLight:
         return (met[..., DIFFUSE] * by_diffuse + met[..., SPECULAR] * by_specular).sum(1)
 
 
-def _amount(parameter: Tensor) -> Tensor:
+def amount_of(parameter: Tensor) -> Tensor:
     """Zeros that change as a parameter does."""
     return parameter - parameter.detach()
 
