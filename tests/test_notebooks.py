@@ -33,6 +33,7 @@ def parameters(tmp_path_factory) -> dict:
         "STORE": store_uri(folder / "runs"),
         "OUTPUT": str(folder / "renders"),
         "RESOLUTION": 16,
+        "STEPS": 4,
     }
 
 

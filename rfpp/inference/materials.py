@@ -50,7 +50,7 @@ class MaterialTensors:
                 _check(what, value, name, shines)
                 value = value.to(device, torch.float32)
                 material[rows, _COLUMNS[what]] = value.detach() if what == "roughness" else value
-                if value.requires_grad:
+                if value.requires_grad and torch.is_grad_enabled():
                     given[what][name] = value
         values = material.detach().cpu().numpy()
         return cls(replace(scene, triangles=replace(triangles, material=values)), material, given)
