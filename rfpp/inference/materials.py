@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import torch
@@ -14,8 +15,8 @@ from rfpp.errors import UserError
 from rfpp.scene.packed import PackedScene
 from rfpp.scene.triangles import DIFFUSE, EMISSION, ROUGHNESS, SPECULAR
 
-#: Of an object's name and of a property's, see `rfpp.scene.spec.Material`.
-Materials = Mapping[str, Mapping[str, Tensor]]
+#: Object → property (of `rfpp.scene.spec.Material`) → its tensor, which `MaterialTensors` checks.
+Materials = Mapping[str, Mapping[str, Any]]
 _COLUMNS = {"diffuse": DIFFUSE, "specular": SPECULAR, "roughness": ROUGHNESS, "emissive": EMISSION}
 
 
@@ -74,7 +75,7 @@ class MaterialTensors:
         return replace(self.scene, triangles=replace(triangles, material=material))
 
 
-def _check(what: str, value: Tensor, name: str, shines: bool) -> None:
+def _check(what: str, value: Any, name: str, shines: bool) -> None:
     """Raises UserError where an object's property cannot be this tensor."""
     if what not in _COLUMNS:
         why = "there are gradients of materials alone, with geometry as it is"

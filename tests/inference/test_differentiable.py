@@ -83,7 +83,7 @@ def test_a_gradient_is_the_difference_of_two_renders(name, what, channel, ours, 
     assert gradient == pytest.approx((more - less) / (2 * STEPS[what]), rel=0.01)
 
 
-def test_the_image_is_that_of_the_renderer_whatever_the_cameras(ours, still):
+def test_the_image_is_that_of_the_renderer_whatever_the_cameras(ours):
     views = pack(scene())
     colour = torch.tensor([0.1, 0.7, 0.2], requires_grad=True)
     images = ours.render(views, {"peak_1": {"diffuse": colour}}, (16, 24), light_samples=4, transports=2)
