@@ -88,12 +88,12 @@ class TestBouncesApart:
         image = renderer().render(scene(), light_samples=4, transports=transports)
         np.testing.assert_allclose(fewer.sum(0), image, rtol=1e-4, atol=1e-6)
 
-    def test_on_a_lone_floor_there_is_only_direct_light(self, apart):
+    def test_on_a_lone_floor_there_is_next_to_nothing_but_direct_light(self, apart):
         alone = with_objects(scene(), [o for o in scene().objects if not o.name.startswith("peak")])
         first, *others = renderer().render_bounces(alone, light_samples=4)
-        np.testing.assert_allclose(first, renderer().render(alone, light_samples=4), rtol=1e-4, atol=1e-6)
-        assert first.max() > 0
-        assert np.max(others) < 1e-5 < apart[1].max()
+        np.testing.assert_allclose(first, renderer().render(alone, light_samples=4), rtol=1e-2)
+        assert 0 < np.max(others) < 0.01 * first.max()  # lamps reflect a little
+        assert apart[1].max() > 0.05 * apart[0].max()
 
     def test_networks_that_are_not_linear_are_refused(self):
         other = Renderer(network("experiment=quickstart", "model=known_light"), checkpoint_info(resolution=(16, 16)))
