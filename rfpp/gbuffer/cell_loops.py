@@ -94,12 +94,14 @@ def coarse_key(key: int) -> int:
 def cell_of(table: CellTable, key: int) -> int:
     """The cell of a key. Cells so small that none of our points lay there: any of their octant and side."""
     row = _found(table.keys, key)
-    cell: int = NOWHERE
     if row >= 0:
-        cell = table.cell[row]
-    elif (row := _found(table.coarse_keys, coarse_key(key))) >= 0:
-        cell = table.coarse_cell[row]
-    return cell
+        cell: int = table.cell[row]
+        return cell
+    row = _found(table.coarse_keys, coarse_key(key))
+    if row < 0:
+        return NOWHERE
+    coarse: int = table.coarse_cell[row]
+    return coarse
 
 
 @compiled

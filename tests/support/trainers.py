@@ -18,19 +18,18 @@ from rfpp.batch import RaggedBatch
 class StillTrainer(L.Trainer):
     """Attributes are set by whoever needs them; ranks and devices there is one of."""
 
-    global_step = global_rank = 0
+    # Lightning has properties for these
+    global_step = global_rank = max_steps = 0
     world_size = accumulate_grad_batches = log_every_n_steps = 1
     is_global_zero, fast_dev_run, sanity_checking, precision = True, False, False, "32-true"
     loggers: Sequence[Logger] = ()
+    checkpoint_callback = None
+    strategy = SimpleNamespace(root_device=torch.device("cpu"), reduce=lambda values, reduce_op: values)
+    precision_plugin = SimpleNamespace(forward_context=nullcontext)
 
     def __init__(self, **attributes) -> None:
-        self.strategy = SimpleNamespace(root_device=torch.device("cpu"), reduce=lambda values, reduce_op: values)
         for name, value in attributes.items():
             setattr(self, name, value)
-
-    @property
-    def precision_plugin(self):
-        return SimpleNamespace(forward_context=nullcontext)
 
 
 class Recorder(Logger):

