@@ -45,7 +45,7 @@ class Textured:
     def scene(self) -> PackedScene:
         """Raises SceneError: see `load_scene`."""
         with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
-            warnings.filterwarnings("ignore", ".*textures are averaged", UserWarning)
+            warnings.filterwarnings("ignore", ".*(textures are averaged|emissive parts light)", UserWarning)
             return pack(load_scene(write_gltf(self.stored.scene(), self.pixels, Path(folder) / "scene.gltf")))
 
 
@@ -65,7 +65,7 @@ def write_gltf(scene: PackedScene, pixels: int | None, path: Path) -> Path:
     shown = picture(pixels or _SQUARES)
     surface: dict[str, Any] = {"baseColorTexture": {"index": 0}}
     if pixels is None:
-        surface = {"baseColorFactor": [*linear(shown / 255.0).mean(axis=(0, 1)).tolist(), 1.0]}
+        surface = {"baseColorFactor": [*linear(shown).mean(axis=(0, 1)).tolist(), 1.0]}
     else:
         save_png(shown, path.with_suffix(".png"))
     nodes, meshes, materials = Entries(), Entries(), Entries()

@@ -119,8 +119,8 @@ class Slot:
     def _start(self) -> None:
         context = multiprocessing.get_context("spawn")
         self.connection, theirs = context.Pipe()
-        self.process = context.Process(target=_serve, args=(theirs,), daemon=True)
         with _running_on(self.cores), unheard_by_children():  # only the first process decides on Ctrl-C
+            self.process = context.Process(target=_serve, args=(theirs,), daemon=True)
             self.process.start()
         theirs.close()
 
