@@ -53,5 +53,6 @@ def with_cells(
     def at_points(of_pixels: np.ndarray) -> np.ndarray:
         return of_pixels.reshape(height, width, -1).repeat(points, axis=0).repeat(points, axis=1)
 
-    known = trace if traced else None
-    return replace(gbuffer, cells=SeenCells(*map(at_points, (*seen, highlights)), trace=known))
+    diffuse, glossy, diffuse_onward, glossy_onward = map(at_points, seen)
+    rays = (diffuse, glossy, diffuse_onward, glossy_onward)
+    return replace(gbuffer, cells=SeenCells(*rays, at_points(highlights), trace if traced else None))

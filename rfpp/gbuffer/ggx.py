@@ -150,7 +150,7 @@ def scattering_growth(
     factor, last = scattered(albedo, mean, cosine, alpha, specular), len(mean) - 1
     u = np.sqrt(alpha) * last
     i = max(min(int(u), last - 1), 0)
-    e_avg = mean[i] * (1 - u + i) + mean[i + 1] * (u - i)
+    e_avg: float = mean[i] * (1 - u + i) + mean[i + 1] * (u - i)
     return (factor - 1) / (factor * specular * (1 - specular * (1 - e_avg)))
 
 

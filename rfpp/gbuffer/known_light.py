@@ -72,7 +72,9 @@ def with_known_light(
     maps = np.zeros((4, *gbuffer.depth.shape, 3), np.float32)
     maps[:, gbuffer.hit] = light
     found = replace(gbuffer, light=DirectLight(*maps[:2]))
-    return replace(found, reflection=Reflection(*maps[2:], trace if traced else None)) if reflects else found
+    if not reflects:
+        return found
+    return replace(found, reflection=Reflection(maps[2], maps[3], trace if traced else None))
 
 
 def _add_light(
