@@ -40,11 +40,14 @@ def plot(file: Path) -> Path:
     try:
         rows = list(csv.DictReader(file.read_text(encoding="utf-8").splitlines()))
         scenes = list(dict.fromkeys(row["scene"] for row in rows))
-        figure, panels = plt.subplots(1, len(_PANELS), figsize=(4.2 * len(_PANELS), 4), constrained_layout=True)
-        for panel, (title, columns) in zip(panels, _PANELS.items(), strict=True):
+        # films may have been left out
+        measured = {title: columns for title, columns in _PANELS.items() if columns[0] in rows[0]}
+        size = (4.2 * len(measured), 4)
+        figure, [panels] = plt.subplots(1, len(measured), figsize=size, constrained_layout=True, squeeze=False)
+        for panel, (title, columns) in zip(panels, measured.items(), strict=True):
             _draw(panel, rows, scenes, *columns)
             panel.set_title(title)
-    except (OSError, KeyError, ValueError) as error:
+    except (OSError, IndexError, KeyError, ValueError) as error:
         raise UserError(f"{file}: not a table of benchmark=equal_time ({error}): measure it first") from None
     figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=4, fontsize=8)
     stream = io.BytesIO()

@@ -13,7 +13,8 @@ from rfpp.errors import UserError
 from rfpp.imaging.radiance import log_decode
 from rfpp.inference.materials import Materials, MaterialTensors
 from rfpp.inference.memory import require_memory
-from rfpp.inference.renderer import Plan, Renderer
+from rfpp.inference.plan import Plan
+from rfpp.inference.renderer import Renderer
 from rfpp.inference.tangents import KnownLight, amount_of
 from rfpp.model.renderformer_pp import EncodedScenes
 from rfpp.model.tokenizer import SceneTokens
@@ -88,7 +89,7 @@ class DifferentiableRenderer:
             return self.renderer.gbuffers.seen(scene, *size, plan.samples, plan.points, light, traced)
 
         known = KnownLight(self.renderer.gbuffers, tensors, cast)
-        with self.renderer.autocast():
+        with self.renderer.encoder.autocast():
             encoded = self._encoded(tensors, known, plan)
             views = [self._view(encoded, known.channels(view), packed, view, plan) for view in range(len(packed.fov))]
         image = torch.stack(views)

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 import torch
@@ -17,45 +17,19 @@ from rfpp.batch import RaggedBatch, SceneViews
 from rfpp.checkpoint.loading import CHECKPOINT_KEY, CheckpointInfo, load_network
 from rfpp.checkpoint.model_card import model_card
 from rfpp.checkpoint.model_folder import write_folder
-from rfpp.errors import SceneError, UserError
+from rfpp.errors import UserError
 from rfpp.imaging.radiance import log_decode
-from rfpp.inference.digest import digest_of
 from rfpp.inference.gbuffers import GBufferSource, direct_alone
-from rfpp.inference.memory import require_memory
-from rfpp.inference.object_encoder import ObjectEncoder
+from rfpp.inference.plan import Plan, image_size
+from rfpp.inference.scene_encoder import SceneEncoder
 from rfpp.model.matrix_precision import convert_blocks, matrix_dtype
 from rfpp.model.renderformer_pp import EncodedScenes
-from rfpp.model.tokenizer import ObjectTokens, SceneTokens
 from rfpp.scene.packed import PackedScene, pack
 from rfpp.scene.spec import Camera, Scene
 
-#: Pixels along the longer side that ray tokens and image head see of finer images. What they say is smooth: at 256² the
-#: error is at most 3% above that of all pixels (data/results/LOG.md).
-TOKEN_RESOLUTION = 128
 #: A camera's c2w and fov, and the channels that it sees.
 View = tuple[Float[Tensor, "1 1 4 4"], Float[Tensor, "1 1"], Float[np.ndarray, "c h w"]]
 Encoded = TypeVar("Encoded")
-
-
-@dataclass(frozen=True)
-class Plan:
-    """What an image takes.
-
-    Attributes:
-        scene: with at least one camera.
-        size: (height, width) in pixels.
-        samples: light samples of each point.
-        points: along each side of a pixel.
-        stride: pixels along each side of what tokens see as one.
-        transports: see `Renderer.render`.
-    """
-
-    scene: PackedScene
-    size: tuple[int, int]
-    samples: int
-    points: int
-    stride: int
-    transports: int | None
 
 
 class Renderer:
@@ -86,12 +60,11 @@ class Renderer:
         self.network, self.info, self.device = network.to(device).eval(), info, torch.device(device)
         self.dtype = dtype
         convert_blocks(self.network, dtype)
+        self.encoder = SceneEncoder(network, self.device, dtype)
         #: What encodes object by object; None for a network whose tokens are triangles.
-        self.objects = ObjectEncoder(network, self.device) if isinstance(network.tokenizer, ObjectTokens) else None
+        self.objects = self.encoder.objects
         #: What cameras see, and what is known of scenes.
         self.gbuffers = GBufferSource(network.gbuffer_channels)
-        #: What the last scene was encoded to, and the key of it.
-        self._encoded: tuple[Hashable, Any] = (None, None)
 
     @classmethod
     def load(
@@ -197,7 +170,7 @@ class Renderer:
         """
         plan = self.planned(pack(scene), resolution, **sampling)
         self._require_linear("bounces")
-        return np.stack(list(self._views(plan, None, self._encode_each, self._decode_each)), axis=1)
+        return np.stack(list(self._views(plan, None, self.encoder.encode_each, self._decode_each)), axis=1)
 
     def views(
         self,
@@ -216,57 +189,34 @@ class Renderer:
             light: only the light of this object; None: all. For a network that is linear in lights.
         """
         packed = pack(scene) if cameras is None else pack(scene).seen_by(cameras)
-        plan = self.planned(packed, resolution, light_samples, supersampling, token_resolution, transports)
+        plan = Plan.of(
+            self.network,
+            packed,
+            self.image_size(resolution),
+            light_samples,
+            supersampling,
+            token_resolution,
+            transports,
+        )
         if light is not None:
             self._require_linear("lights")
-        return self._views(plan, light, self._encode, self._decode)
+        return self._views(plan, light, self.encoder.encode, self._decode)
 
     def planned(
-        self,
-        scene: PackedScene,
-        resolution: int | tuple[int, int] | None = None,
-        light_samples: int = 16,
-        supersampling: int = 2,
-        token_resolution: int | None = None,
-        transports: int | None = None,
+        self, scene: PackedScene, resolution: int | tuple[int, int] | None = None, **sampling: int | None
     ) -> Plan:
         """What an image takes. Arguments and errors: see `render`."""
-        height, width = self.image_size(resolution)
-        if not len(scene.fov):
-            raise SceneError(f"scene '{scene.name}' has no camera: add one to its `cameras`")
-        if transports is not None and not self.network.iterations:
-            raise UserError(f"transports={transports}: this network has no transport operator: leave it away")
-        if token_resolution is None:
-            token_resolution = TOKEN_RESOLUTION
-        if min(light_samples, supersampling, token_resolution) < 1:
-            given = f"light_samples={light_samples}, supersampling={supersampling}, token_resolution={token_resolution}"
-            raise UserError(f"{given}: give 1 or more of each")
-        points = supersampling if self.network.shades_points else 1
-        require_memory(height, width, points)
-        samples = max(1, round(light_samples / points**2))
-        stride = self._stride(height, width, token_resolution)
-        return Plan(scene, (height, width), samples, points, stride, transports)
+        return Plan.of(self.network, scene, self.image_size(resolution), **sampling)
 
     def _require_linear(self, parts: str) -> None:
         if not self.network.linear_in_lights:
             raise UserError(f"{parts} apart: this network's image is no sum over {parts}: use one of linear light")
 
-    def _stride(self, height: int, width: int, token_resolution: int) -> int:
-        """Pixels along each side of what tokens see as one."""
-        stride = 1
-        while (
-            self.network.sees_coarse_pixels
-            and max(height, width) >= 2 * stride * token_resolution
-            and not any(side % (2 * stride * self.network.patch_size) for side in (height, width))
-        ):
-            stride *= 2
-        return stride
-
     def _views(
         self,
         plan: Plan,
         light: str | None,
-        encode: Callable[[RaggedBatch, Plan], Encoded],
+        encode: Callable[[RaggedBatch, Plan, str | None], Encoded],
         decode: Callable[[Encoded, View, Plan], Float[np.ndarray, "*n height width 3"]],
     ) -> Iterator[Float[np.ndarray, "*n height width 3"]]:
         """One view at a time, which bounds the memory; a thread casts the next one's rays meanwhile."""
@@ -274,7 +224,7 @@ class Renderer:
         cast = self.gbuffers.of(plan.scene, *plan.size, plan.samples, plan.points, light)
         with ThreadPoolExecutor(1, "gbuffer") as beside:
             upcoming = beside.submit(cast, 0)
-            encoded = self._encoded_once(encode, batch, plan, light)
+            encoded = encode(batch, plan, light)
             for view in range(batch.num_views):
                 gbuffer = upcoming.result()
                 if view + 1 < batch.num_views:
@@ -308,49 +258,11 @@ class Renderer:
             why = "the network's weights are not finite, its training diverged: take an earlier checkpoint"
         raise UserError(f"{what}: {wrong} of {image.size // 3} pixels are not finite: {why}")
 
-    def autocast(self) -> torch.autocast:
-        """Of matrix products."""
-        return torch.autocast(self.device.type, self.dtype, enabled=self.dtype != torch.float32)
-
-    def _encoded_once(
-        self, encode: Callable[[RaggedBatch, Plan], Encoded], batch: RaggedBatch, plan: Plan, light: str | None
-    ) -> Encoded:
-        """What `encode` makes of a scene; of the one that came last, what is kept."""
-        triangles, texture = plan.scene.triangles, plan.scene.texture
-        seen = digest_of(
-            triangles.positions, triangles.normals, triangles.material, triangles.object_offsets,
-            *(() if texture is None else (texture,)),
-        )  # fmt: skip
-        key, (kept, encoded) = (encode, seen, plan.transports, light), self._encoded
-        if kept != key:
-            encoded = encode(batch, plan)
-            self._encoded = key, encoded
-        return encoded
-
-    @torch.inference_mode()
-    def _encode(self, batch: RaggedBatch, plan: Plan) -> EncodedScenes:
-        if plan.transports is not None:
-            return self._encode_each(batch, plan)[-1]
-        with self.autocast():
-            return self.network.transported(*self._tokenize(batch))
-
-    @torch.inference_mode()
-    def _encode_each(self, batch: RaggedBatch, plan: Plan) -> list[EncodedScenes]:
-        """After k = 0 … applications of the operator."""
-        count = self.network.iterations if plan.transports is None else plan.transports
-        with self.autocast():
-            return self.network.transported_each(*self._tokenize(batch), count)[0]
-
-    def _tokenize(self, batch: RaggedBatch) -> tuple[Float[Tensor, " b"], SceneTokens]:
-        if self.objects is None:
-            return self.network.tokenize(batch.to(self.device))
-        return self.objects.tokenize(batch)
-
     @torch.inference_mode()
     def _decode(self, encoded: EncodedScenes, view: View, plan: Plan) -> Float[np.ndarray, "height width 3"]:
         c2w, fov, gbuffer = view
         camera, seen = (c2w.to(self.device), fov.to(self.device)), torch.from_numpy(gbuffer[None, None])
-        with self.autocast():
+        with self.encoder.autocast():
             log_radiance = self.network.view(encoded, *camera, seen.to(self.device), plan.points, plan.stride)
         return log_decode(log_radiance)[0, 0].permute(1, 2, 0).clamp_min(0).cpu().numpy()
 
@@ -365,10 +277,4 @@ class Renderer:
 
     def image_size(self, resolution: int | tuple[int, int] | None) -> tuple[int, int]:
         """(height, width) of a requested resolution. Raises UserError when it does not divide into patches."""
-        if resolution is None:
-            resolution = tuple(self.info.resolution)
-        height, width = (resolution, resolution) if isinstance(resolution, int) else resolution
-        patch = self.network.patch_size
-        if min(height, width) < 1 or height % patch or width % patch:
-            raise UserError(f"resolution {width} x {height} does not divide into patches of {patch}: use multiples")
-        return height, width
+        return image_size(self.network, tuple(self.info.resolution) if resolution is None else resolution)
