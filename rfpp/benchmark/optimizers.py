@@ -75,15 +75,15 @@ def measure(
 
 
 class RememberedSplit(ShardSplit):
-    """Stored scenes that are decoded once, for networks that are faster than decoding."""
+    """Stored scenes that are decoded once, for networks that are faster than decoding; without their lights apart."""
 
     @cached_property
     def _samples(self) -> dict[int, SceneSample]:
         return {}
 
-    def read(self, index: int, choose: ViewChoice, channels: Collection[str]) -> SceneSample:
+    def read(self, index: int, choose: ViewChoice, channels: Collection[str], by_light: bool = False) -> SceneSample:
         if index not in self._samples:
-            self._samples[index] = super().read(index, None, channels)
+            self._samples[index] = super().read(index, None, channels, by_light=False)
         whole = self._samples[index]
         views = list(choose(len(whole.fov)))
         of_views = {name: getattr(whole, name)[views] for name in ("c2w", "fov", "images")}
