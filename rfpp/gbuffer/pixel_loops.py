@@ -80,8 +80,9 @@ def light_samples(
             if alpha >= 0:
                 reflected, of_lobe = lobe_and_pdf(view, toward, alpha)
                 by_lobe = reflected * over_density(density, of_lobe)
-            own[LOBE] += by_lobe
-            own[SQUARES] += by_lobe * by_lobe
+            shine = by_lobe * (scene.radiance[e, 0] + scene.radiance[e, 1] + scene.radiance[e, 2]) / 3
+            own[LOBE] += shine
+            own[SQUARES] += shine * shine
             for c in range(3):
                 own[DIFFUSE + c] += by_area * scene.radiance[e, c]
                 own[GLOSSY + c] += by_lobe * scene.radiance[e, c]

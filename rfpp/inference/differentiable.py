@@ -21,7 +21,7 @@ from rfpp.model.tokenizer import SceneTokens
 from rfpp.scene.packed import PackedScene, pack
 from rfpp.scene.spec import Camera, Scene
 
-#: Of each point that is shaded, for the way back; measured with rfpp-tiny at 2 × 2 points a pixel, 64² and 128².
+#: Of each point that is shaded, for the way back: rfpp-tiny takes 4,400 at 128², 2 × 2 points a pixel and two albedos.
 _BYTES_PER_POINT = 8000
 #: Half the step of differences by roughness.
 _STEP = 0.02
