@@ -49,7 +49,8 @@ def test_killed_and_hanging_workers_lose_nothing(tmp_path):
 def test_two_tiny_scenes_with_blender(tmp_path):
     def rendered(name: str) -> Manifest:
         reference = replace(REFERENCE, samples=4)
-        return make(tmp_path / name, render=cycles.render, reference=reference, resolution=32, splits={"train": 2})
+        blender = {"render": cycles.render, "workers": 1}  # not in this process, which it would change
+        return make(tmp_path / name, **blender, reference=reference, resolution=32, splits={"train": 2})
 
     manifest = rendered("once")
     train = ShardSplit(manifest.root, "train")

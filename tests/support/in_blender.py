@@ -122,7 +122,7 @@ def area_in_cycles(shape: str, picture: str, sent: str) -> None:
     scene.cycles.samples, scene.cycles.use_denoising, scene.cycles.use_adaptive_sampling = 256, False, False
     scene.cycles.max_bounces, scene.render.threads_mode, scene.render.threads = 0, "FIXED", 1
     rendered(picture, 24, 24)
-    export = importlib.import_module(f"{MODULE}.export")
+    export = importlib.import_module(f"{MODULE}.scene_export")
     content, _ = export.exported(bpy.context.evaluated_depsgraph_get(), {})
     with open(sent, "wb") as file:
         file.write(content)
