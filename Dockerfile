@@ -2,9 +2,8 @@
 # docker run --rm -v "$PWD:/work" rfpp render scene=chair.glb   # a file of yours
 # docker run --rm --gpus all --ipc=host -v "$PWD:/work" rfpp train experiment=quickstart
 # For a CPU alone, which is smaller: --build-arg PIP_EXTRA_INDEX_URL=https://download.pytorch.org/whl/cpu
-# Checked with buildah for the CPU, as no engine was at hand: built on Debian with Python 3.11 in /usr/local, as the image below has
-# it, and on Debian without Python; then `rfpp render`, beside Cycles too, of a scene in a mounted folder. Not checked: the image
-# below itself, a base of CUDA, --gpus.
+# Tested with buildah for the CPU, on Debian with Python 3.11 in /usr/local, as in the image below, and on Debian without Python.
+# Untested: the image below itself, a base of CUDA, --gpus.
 # Another base, of Debian or Ubuntu with Python 3.11: --build-arg BASE=nvidia/cuda:12.8.1-runtime-ubuntu22.04
 ARG BASE=python:3.11-slim-bookworm
 FROM ${BASE}
