@@ -17,22 +17,22 @@ from rfpp.scene.io.saving import save_scene
 
 
 @pytest.fixture
-def stored(tmp_path):
+def scene_file(tmp_path):
     return save_scene(scene(), tmp_path / "six.json")
 
 
-def test_exhibits_are_seen_by_one_camera_and_may_be_moved(stored):
-    still = SceneFile("still", stored, camera=1).scene()
+def test_exhibits_are_seen_by_one_camera_and_may_be_moved(scene_file):
+    still = SceneFile("still", scene_file, camera=1).scene()
     assert still.c2w.shape == (1, 4, 4)
     name = scene().objects[1].name
-    away = SceneFile("moved", stored, camera=1, moved={name: (0.3, 0.2, 0.1)}).scene()
+    away = SceneFile("moved", scene_file, camera=1, moved={name: (0.3, 0.2, 0.1)}).scene()
     rows = still.triangles.object_index == 1
     shift = away.triangles.positions - still.triangles.positions
     assert np.abs(shift[rows][0, 0]).max() > 0.01
     np.testing.assert_allclose(shift[rows], np.broadcast_to(shift[rows][0, 0], shift[rows].shape), atol=1e-6)
     np.testing.assert_array_equal(shift[~rows], 0)
     with pytest.raises(UserError, match="has no object 'ghost'"):
-        SceneFile("ghost", stored, moved={"ghost": (0, 0, 0)}).scene()
+        SceneFile("ghost", scene_file, moved={"ghost": (0, 0, 0)}).scene()
 
 
 def test_drawn_exhibits_are_the_same_every_time():
@@ -42,7 +42,7 @@ def test_drawn_exhibits_are_the_same_every_time():
 
 
 @requires_blender
-def test_a_row_and_a_line_of_pictures_for_each(stored, tmp_path):
+def test_a_row_and_a_line_of_pictures_for_each(scene_file, tmp_path):
     Renderer(network(), checkpoint_info()).save(tmp_path / "net")
     settings = CyclesSettings(
         samples=4, adaptive_threshold=0.0, denoise=False, max_bounces=2, diffuse_bounces=2, glossy_bounces=2,
@@ -50,7 +50,7 @@ def test_a_row_and_a_line_of_pictures_for_each(stored, tmp_path):
         seed=0, threads=1,
     )  # fmt: skip
     made = []
-    exhibits = [SceneFile("six", stored), SampledScene("drawn", BoxFamily(), 0)]
+    exhibits = [SceneFile("six", scene_file), SampledScene("drawn", BoxFamily(), 0)]
     rows = list(measure(str(tmp_path / "net"), exhibits, 16, settings, tmp_path / "g.png", lambda *n: made.append(n)))
     assert made == [(1, 2), (2, 2)]
     assert [row["scene"] for row in rows] == ["six", "drawn"]

@@ -35,7 +35,7 @@ def view_of(name: str) -> PackedScene:
     return pack(load_scene(SCENES / f"{name}.json")).views([0])
 
 
-def stored(name: str) -> np.ndarray:
+def reference_image(name: str) -> np.ndarray:
     return read_exr(PICTURES / f"{name}.exr")["RGB"].astype(np.float32)
 
 
@@ -54,7 +54,7 @@ def known(name: str) -> dict[str, np.ndarray]:
 @pytest.mark.parametrize("name", NAMES)
 def test_its_pictures_are_the_committed_ones(renderer, name):
     [image] = renderer.render(view_of(name), 64)
-    expected = stored(f"{name}_0")
+    expected = reference_image(f"{name}_0")
     assert difference(image, expected) < 2e-4
     assert np.quantile(np.abs(image - expected), 0.99) < 0.02
 
@@ -62,7 +62,7 @@ def test_its_pictures_are_the_committed_ones(renderer, name):
 @pytest.mark.parametrize("name", NAMES)
 def test_bfloat16_gives_the_same_pictures_to_the_eye(name):
     [image] = Renderer.load("rfpp-tiny", "cpu", "bf16").render(view_of(name), 64)
-    assert difference(image, stored(f"{name}_0")) < 2e-3
+    assert difference(image, reference_image(f"{name}_0")) < 2e-3
 
 
 def test_a_red_wall_reddens_what_is_near_it(renderer):
@@ -76,7 +76,7 @@ def test_a_red_wall_reddens_what_is_near_it(renderer):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_it_adds_to_the_light_that_it_is_given(renderer, name):
-    given, reference = known(name), stored(f"{name}_0_reference")
+    given, reference = known(name), reference_image(f"{name}_0_reference")
     glossy = given["direct_glossy"] + given["reflected_light"]
     alone = given["albedo"] * given["direct_diffuse"] + given["specular"] * glossy
     [image] = renderer.render(view_of(name), 64)
@@ -85,7 +85,7 @@ def test_it_adds_to_the_light_that_it_is_given(renderer, name):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_outlines_are_closer_to_the_reference_where_pixels_have_more_points(renderer, name):
-    reference = stored(f"{name}_0_reference")
+    reference = reference_image(f"{name}_0_reference")
     one, two, three = (difference(renderer.render(view_of(name), 64, supersampling=n)[0], reference) for n in (1, 2, 3))
     assert three < two < 0.85 * one
 

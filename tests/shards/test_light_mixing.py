@@ -30,13 +30,13 @@ def members(factors=ORIGINAL, **data) -> dict[str, bytes]:
 
 
 @pytest.fixture(scope="module")
-def stored() -> dict[str, bytes]:
+def members_of_sample() -> dict[str, bytes]:
     return members()
 
 
 @pytest.fixture
-def sample(stored) -> SceneSample:
-    return decode("train-000001", stored)
+def sample(members_of_sample) -> SceneSample:
+    return decode("train-000001", members_of_sample)
 
 
 def require_same(found: SceneSample, expected: SceneSample) -> None:
@@ -77,31 +77,31 @@ def test_what_is_not_light_stays(sample):
     np.testing.assert_array_equal(other.cells.hits, sample.cells.hits)
 
 
-def test_known_light_is_that_of_a_data_set_without(stored):
+def test_known_light_is_that_of_a_data_set_without(members_of_sample):
     plain = members(by_light=False)
-    assert plain.keys() < stored.keys()
+    assert plain.keys() < members_of_sample.keys()
     same = [name for name in plain if "view" not in name or name.count(".") == 2]
     assert {"view0.light.exr", "view0.cells.exr", "cells.safetensors"} <= {*same}
-    assert all(plain[name] == stored[name] for name in same)
+    assert all(plain[name] == members_of_sample[name] for name in same)
 
 
-def test_samples_are_a_fixed_point_and_bytes_are_reproducible(stored, sample):
-    assert encode(sample) == stored == members()
+def test_samples_are_a_fixed_point_and_bytes_are_reproducible(members_of_sample, sample):
+    assert encode(sample) == members_of_sample == members()
 
 
-def test_layers_are_read_only_where_they_are_asked_for(stored):
-    without = {name: data for name, data in stored.items() if "of_light" not in name}
+def test_layers_are_read_only_where_they_are_asked_for(members_of_sample):
+    without = {name: data for name, data in members_of_sample.items() if "of_light" not in name}
     assert decode("train-000001", without, by_light=False).lights is None
-    one = decode("train-000001", stored, choose=lambda views: [1], channels=("albedo",))
+    one = decode("train-000001", members_of_sample, choose=lambda views: [1], channels=("albedo",))
     assert one.lights.images.shape == (2, 1, 12, 12, 3)
     assert one.gbuffers[0].light is None
     np.testing.assert_allclose(mixed(one, ORIGINAL).images, one.images, rtol=2**-10, atol=1e-6)
 
 
 @pytest.mark.parametrize("damage", ["missing", "of another size"])
-def test_damaged_layers_are_named(stored, damage):
+def test_damaged_layers_are_named(members_of_sample, damage):
     other = members(resolution=8)
-    broken = dict(stored)
+    broken = dict(members_of_sample)
     if damage == "missing":
         del broken["view1.of_light0.exr"]
     else:

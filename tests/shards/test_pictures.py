@@ -15,7 +15,7 @@ from rfpp.shards.pictures import contact_sheet, sample_panel, with_ambient
 
 
 @pytest.fixture
-def shown(monkeypatch) -> dict:
+def sheets(monkeypatch) -> dict:
     """What is put on sheets: columns, captions and title."""
     seen = {}
 
@@ -32,15 +32,15 @@ def shown(monkeypatch) -> dict:
     return seen
 
 
-def test_a_panel_shows_every_view_of_a_sample(shown):
+def test_a_panel_shows_every_view_of_a_sample(sheets):
     sample = stored_sample()
     sample_panel(sample)
-    assert {len(tiles) for tiles in shown["columns"].values()} == {2} == {len(shown["captions"])}
-    assert shown["title"] == (
+    assert {len(tiles) for tiles in sheets["columns"].values()} == {2} == {len(sheets["captions"])}
+    assert sheets["title"] == (
         "train-000001: 7 triangles, 2 objects, 1 lights; 3 empty views, 2 scene redraws, 4 unlit views"
     )
     for view, (image, gbuffer) in enumerate(zip(sample.images, sample.gbuffers, strict=True)):
-        column = {name: tiles[view] for name, tiles in shown["columns"].items()}
+        column = {name: tiles[view] for name, tiles in sheets["columns"].items()}
         np.testing.assert_array_equal(column["image"], tone_mapped(image))
         empty = ~gbuffer.hit
         for name in ("direct light", "albedo", "specular", "normal", "depth (near is bright)", "objects"):
@@ -54,22 +54,22 @@ def test_a_panel_is_a_picture_of_all_of_them():
     assert sheet.dtype == np.uint8 and sheet.shape[1] > 8 * 160 and sheet.shape[0] > 2 * 160
 
 
-def test_each_object_has_one_colour_of_its_own(shown):
+def test_each_object_has_one_colour_of_its_own(sheets):
     scene = PackedScene("still life", still_life(), look_at((0.3, -1.5, 0.9))[None], np.array([40.0], np.float32))
     sample = stored_sample(scene)
     sample_panel(sample)
-    seen, gbuffer = shown["columns"]["objects"][0], sample.gbuffers[0]
+    seen, gbuffer = sheets["columns"]["objects"][0], sample.gbuffers[0]
     ids = np.where(gbuffer.hit, sample.triangles.object_index[gbuffer.triangle], -1)
     colours = {index: np.unique(seen[ids == index], axis=0) for index in np.unique(ids)}
     assert all(len(colour) == 1 for colour in colours.values())
     assert len({tuple(colour[0]) for colour in colours.values()}) == len(colours) > 1
 
 
-def test_edges_are_dark_where_triangles_meet_and_nowhere_else(shown):
+def test_edges_are_dark_where_triangles_meet_and_nowhere_else(sheets):
     from_above = look_at((0, 0, 2), up=(0, 1, 0))
     scene = PackedScene("square", pack((square(4.0), material(diffuse=0.5))), from_above[None], np.array([30.0], "f4"))
     sample_panel(stored_sample(scene))
-    picture = shown["columns"]["triangles"][0][:, :, 0].astype(int)
+    picture = sheets["columns"]["triangles"][0][:, :, 0].astype(int)
     row, column = np.indices(picture.shape)
     near = np.abs(row + column - (len(picture) - 1)) <= 1  # pixels from the only edge
     assert (np.where(near, picture, 255).min(axis=1) < 220).all()
@@ -89,7 +89,7 @@ def test_direct_radiance_weighs_each_lobe_with_its_albedo():
     assert not brighter[~seen].any()
 
 
-def test_a_contact_sheet_shows_shadows_and_counts(shown):
+def test_a_contact_sheet_shows_shadows_and_counts(sheets):
     lamp = (np.add(LIGHT, [0, 0, 2]), material(emission=5000.0))
     floor, ball = (square(2.0), material(diffuse=0.8)), (sphere(0.2, (0, 0, 0.5)), material(diffuse=0.8))
     from_the_side = look_at((0, -2.5, 0.25))
@@ -98,22 +98,22 @@ def test_a_contact_sheet_shows_shadows_and_counts(shown):
         for things in ((floor, lamp), (floor, ball, lamp))
     ]
     contact_sheet(scenes, 64)
-    assert shown["captions"] == ["0: 3 triangles, 1 objects, 1 lights", "1: 1283 triangles, 2 objects, 1 lights"]
-    lit, shadowed = (tile[32, 32].astype(int).sum() for tile in shown["tiles"])
+    assert sheets["captions"] == ["0: 3 triangles, 1 objects, 1 lights", "1: 1283 triangles, 2 objects, 1 lights"]
+    lit, shadowed = (tile[32, 32].astype(int).sum() for tile in sheets["tiles"])
     assert 0 < shadowed < lit / 2
 
 
-def test_scenes_of_a_family_are_shown_through_their_first_camera(shown, monkeypatch):
+def test_scenes_of_a_family_are_shown_through_their_first_camera(sheets, monkeypatch):
     monkeypatch.setattr(pictures, "_LIGHT_SAMPLES", 1)
     scene = BoxFamily().sample(np.random.default_rng(1), np.random.default_rng(2), held_out=False)
     contact_sheet([scene, scene.model_copy(update={"cameras": scene.cameras[::-1]})], 16)
-    first, second = shown["tiles"]
+    first, second = sheets["tiles"]
     assert first.any() and second.any() and not np.array_equal(first, second)
 
 
-def test_a_scene_without_light_is_shown_all_the_same(shown):
+def test_a_scene_without_light_is_shown_all_the_same(sheets):
     dark = still_life()
     dark.material[:, 7:] = 0
     scene = PackedScene("dark", dark, look_at((0.3, -1.5, 0.9))[None], np.array([40.0], np.float32))
     contact_sheet([scene], 16)
-    assert shown["tiles"][0].any()
+    assert sheets["tiles"][0].any()

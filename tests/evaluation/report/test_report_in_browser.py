@@ -33,7 +33,7 @@ def _share_of_prediction(wipe) -> float:
     return red.sum() / (red | blue).sum()
 
 
-def _shown(page) -> list[str]:
+def _visible_scenes(page) -> list[str]:
     articles = page.find_elements("css selector", "article")
     return [article.get_attribute("data-scene") for article in articles if article.is_displayed()]
 
@@ -92,43 +92,43 @@ def test_every_control_has_a_name(page):
 
 
 def test_the_filters_hide_scenes_by_triangles(page):
-    assert len(_shown(page)) == 4
+    assert len(_visible_scenes(page)) == 4
     _set(page, "from", 850)
-    assert set(_shown(page)) == {"b", '"><img src=x onerror=alert(1)>'}
+    assert set(_visible_scenes(page)) == {"b", '"><img src=x onerror=alert(1)>'}
     assert page.find_element("id", "shown").text == "2 of 4 scenes shown"
     _set(page, "to", 1999)
-    assert _shown(page) == ['"><img src=x onerror=alert(1)>']
+    assert _visible_scenes(page) == ['"><img src=x onerror=alert(1)>']
     _set(page, "to", 600)  # takes the lower end along
     assert page.find_element("id", "from").get_attribute("value") == "600"
-    assert _shown(page) == []
+    assert _visible_scenes(page) == []
     _set(page, "from", 500)
-    assert _shown(page) == ["a"]
+    assert _visible_scenes(page) == ["a"]
 
 
 def test_a_split_can_be_chosen(page):
     page.execute_script("document.querySelector('article').dataset.split = 'another'")
     _choose(page, "split", "test")
-    assert len(_shown(page)) == 3
+    assert len(_visible_scenes(page)) == 3
     _choose(page, "split", "all")
-    assert len(_shown(page)) == 4
+    assert len(_visible_scenes(page)) == 4
 
 
 def test_the_order_follows_the_choice(page):
     hostile = '"><img src=x onerror=alert(1)>'
-    assert _shown(page) == ["b", hostile, "c", "a"]
+    assert _visible_scenes(page) == ["b", hostile, "c", "a"]
     _choose(page, "order", "log-L1, best first")
-    assert _shown(page) == ["a", "c", hostile, "b"]
+    assert _visible_scenes(page) == ["a", "c", hostile, "b"]
     _choose(page, "order", "PSNR, worst first")
-    assert _shown(page) == ["b", hostile, "c", "a"]
+    assert _visible_scenes(page) == ["b", hostile, "c", "a"]
     _choose(page, "order", "triangles, fewest first")
-    assert _shown(page) == ["a", "c", hostile, "b"]
+    assert _visible_scenes(page) == ["a", "c", hostile, "b"]
 
 
 def test_scenes_without_a_number_are_the_worst(browser, evaluated):
     browser.get(write_report(evaluated({"a": (5, 0.1), "b": (6, float("nan")), "c": (7, 0.3)})).as_uri())
-    assert _shown(browser) == ["b", "c", "a"]
+    assert _visible_scenes(browser) == ["b", "c", "a"]
     _choose(browser, "order", "log-L1, best first")
-    assert _shown(browser) == ["a", "c", "b"]
+    assert _visible_scenes(browser) == ["a", "c", "b"]
 
 
 @pytest.mark.parametrize("width", [1280, 400])
