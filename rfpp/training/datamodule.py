@@ -18,10 +18,11 @@ from rfpp.shards.joined import JoinedManifest, JoinedSplit, Root, open_manifest,
 from rfpp.shards.manifest import Manifest
 from rfpp.shards.order import ShuffledOrder, leading
 from rfpp.shards.views import AllViews
+from rfpp.training.augmentation import ColourPermutation, LightMixing, RigidAugmentation
 from rfpp.training.dealing import Dealing
 from rfpp.training.loader import SceneLoader, SkippingCorrupt, pack_readable
 from rfpp.training.parentage import end_with_parent
-from rfpp.training.views import ColourPermutation, GlobalBatches, LightMixing, RigidAugmentation, TrainingViews
+from rfpp.training.views import GlobalBatches, TrainingViews
 
 
 class SceneDataModule(L.LightningDataModule):

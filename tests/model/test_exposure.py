@@ -13,7 +13,7 @@ from rfpp.gbuffer.first_hit import DIRECT_CHANNELS
 from rfpp.model.exposure import MeanIrradianceExposure, UnitExposure
 from rfpp.model.ray_bundle import CameraOrigin
 from rfpp.scene.triangles import EMISSION, SceneTriangles
-from rfpp.training.views import moved
+from rfpp.training.augmentation import moved
 
 KNOWN_LIGHT = ("experiment=quickstart", "model=known_light")
 

@@ -11,7 +11,7 @@ from random_scenes import random_views
 from rfpp.batch import RaggedBatch, SceneViews
 from rfpp.gbuffer.first_hit import CHANNELS
 from rfpp.scene.triangles import SceneTriangles
-from rfpp.training.views import moved
+from rfpp.training.augmentation import moved
 
 VARIANTS = {
     "paper": (),

@@ -10,7 +10,7 @@ from stored_sample import stored_sample
 from rfpp.batch import RaggedBatch
 from rfpp.errors import UserError
 from rfpp.shards.views import select_views
-from rfpp.training.views import moved
+from rfpp.training.augmentation import moved
 
 OCTANTS = "experiment=[ablation,octant_tokens]"
 

@@ -22,10 +22,10 @@ from rfpp.scene.mesh import Mesh
 from rfpp.scene.spec import SceneObject, Transform
 from rfpp.shards.cache import ShardCache
 from rfpp.shards.manifest import Manifest
+from rfpp.training.augmentation import RigidAugmentation
 from rfpp.training.callbacks.skipped import SkippedScenes
 from rfpp.training.datamodule import SceneDataModule
 from rfpp.training.dealing import BySize, InOrder
-from rfpp.training.views import RigidAugmentation
 
 SCENES, PER_STEP, STEPS = 7, 4, 5  # two epochs and six scenes
 
