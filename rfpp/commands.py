@@ -29,6 +29,8 @@ NO_SPACE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 #: SQLite's words for it, which reach us in an exception of MLflow's.
 SQLITE_NO_SPACE = "database or disk is full"
 
+#: What a constructor raises that is given a value or a key it cannot take.
+_IMPOSSIBLE_VALUES = (ValueError, TypeError, ArithmeticError, RuntimeError)
 #: Groups that had no default once and were added with a plus.
 _ONCE_ADDED = ("+experiment=", "+debug=")
 
@@ -55,9 +57,11 @@ def entry_point(
             except UserError as error:
                 _fail(error)
             except InstantiationException as error:  # Hydra's wrapping of what a constructor raised
-                if not isinstance(reason := missing_extra(error) or error.__cause__, UserError):
+                if isinstance(reason := missing_extra(error) or error.__cause__, UserError):
+                    _fail(reason)
+                if not isinstance(reason, _IMPOSSIBLE_VALUES):
                     raise
-                _fail(reason)
+                _fail(UserError(f"{str(error).rpartition('full_key: ')[2]}: {reason}"))
             except OSError as error:  # out of the hands of a library that was writing
                 if error.errno not in NO_SPACE:
                     raise

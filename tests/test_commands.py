@@ -1,13 +1,15 @@
 """What all commands share."""
 
+import re
 import signal
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from hydra.utils import instantiate
 
-from rfpp.commands import settings, without_plus
+from rfpp.commands import entry_point, settings, without_plus
 from rfpp.errors import UserError
 
 ROOT = Path(__file__).parents[1]
@@ -38,6 +40,27 @@ def test_the_command_line_takes_a_plus():
     command = [sys.executable, "launch/generate.py", "+experiment=quickstart", "--cfg", "job"]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
     assert "name: quickstart" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ("calendar.first.month=13", "error: calendar.first: month must be in 1..12\n"),
+        ("+calendar.first.colour=1", "error: calendar.first: .*keyword argument.*\n"),
+        ("calendar.share.denominator=0", "error: calendar.share: Fraction.*0.*\n"),
+    ],
+)
+def test_a_value_that_a_constructor_refuses_is_said_in_one_line(given, said, tmp_path, monkeypatch, capsys):
+    (tmp_path / "conf").mkdir()
+    (tmp_path / "conf" / "days.yaml").write_text(
+        "calendar:\n  first: {_target_: datetime.date, year: 2026, month: 1, day: 1}\n"
+        "  share: {_target_: fractions.Fraction, numerator: 1, denominator: 7}\n"
+    )
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", ["days", given])
+    with pytest.raises(SystemExit, match="1"):
+        entry_point("days", tmp_path / "conf")(lambda cfg: instantiate(cfg.calendar))()
+    assert re.fullmatch(said, capsys.readouterr().err)
 
 
 def test_an_interrupted_command_ends_with_one_line_and_by_the_signal():

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from rfpp.gbuffer.cell_grid import CellGrid
-from rfpp.gbuffer.cell_loops import NOWHERE
+from rfpp.gbuffer.cell_table import NOWHERE
 from rfpp.gbuffer.cells import CellMap, Cells
 from rfpp.gbuffer.direct_light import gathered
 from rfpp.gbuffer.light_sampler import LightSampler

@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Float, Int
 
-from rfpp.gbuffer.cell_loops import KEYS_OF_OCTANT, MOST_PIECES, SIDES, CellTable, keys_each
+from rfpp.gbuffer.cell_table import KEYS_OF_OCTANT, MOST_PIECES, SIDES, CellTable, keys_each
 from rfpp.gbuffer.threads import over_rows
 from rfpp.scene.triangles import SceneTriangles
 

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from rfpp.gbuffer.cell_grid import CellGrid
-from rfpp.gbuffer.cell_loops import CellTable, cells_each
+from rfpp.gbuffer.cell_table import CellTable, cells_each
 from rfpp.gbuffer.threads import over_rows
 
 

@@ -8,7 +8,8 @@ from typing import SupportsFloat
 import numpy as np
 from jaxtyping import Float
 
-from rfpp.gbuffer.cell_loops import NOWHERE, cells_seen
+from rfpp.gbuffer.cell_loops import cells_seen
+from rfpp.gbuffer.cell_table import NOWHERE
 from rfpp.gbuffer.cells import CellMap
 from rfpp.gbuffer.first_hit import CELL_RAYS, GBuffer, SeenCells
 from rfpp.gbuffer.light_sampler import LightSampler

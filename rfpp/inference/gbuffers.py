@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from rfpp.gbuffer.cell_finding import CellSources, find_cells_and_sources
-from rfpp.gbuffer.cell_loops import NOWHERE
+from rfpp.gbuffer.cell_table import NOWHERE
 from rfpp.gbuffer.cells import CellMap, Cells
 from rfpp.gbuffer.first_hit import (
     CELL_CHANNELS,

@@ -8,7 +8,7 @@ from known_scenes import LIGHT, box, material, moved, pack, rigid_motion, sphere
 
 from rfpp.gbuffer.cell_finding import find_cells
 from rfpp.gbuffer.cell_grid import CellGrid, principal_axes
-from rfpp.gbuffer.cell_loops import NOWHERE
+from rfpp.gbuffer.cell_table import NOWHERE
 from rfpp.gbuffer.cells import Cells
 from rfpp.gbuffer.light_sampler import LightSampler
 from rfpp.scene.triangles import EMISSION

@@ -5,7 +5,7 @@ import pytest
 from known_scenes import box, look_at, material, pack, sphere, square
 
 from rfpp.gbuffer.cell_finding import find_cells
-from rfpp.gbuffer.cell_loops import NOWHERE
+from rfpp.gbuffer.cell_table import NOWHERE
 from rfpp.gbuffer.first_hit import CELL_RAYS, SeenCells, first_hit
 from rfpp.gbuffer.gathering import with_cells
 from rfpp.gbuffer.light_sampler import LightSampler

@@ -4,7 +4,7 @@ import numpy as np
 
 from rfpp.gbuffer import ggx
 from rfpp.gbuffer.cell_grid import CellGrid
-from rfpp.gbuffer.cell_loops import DIRECTIONS, FLAT, MOST_PIECES, SIDES
+from rfpp.gbuffer.cell_table import DIRECTIONS, FLAT, MOST_PIECES, SIDES
 from rfpp.gbuffer.lit_scene import CLEARANCE
 from rfpp.gbuffer.raycast import RayCaster
 from rfpp.gbuffer.surface import Surface
