@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable
+from hashlib import blake2b
+from pathlib import Path
 from typing import Any, ParamSpec, TypeVar, cast
 
 import numba
@@ -15,6 +17,8 @@ R = TypeVar("R")
 #: To 64 bits: float() and int() of a compiled loop leave numbers as they are. NumPy 1 types neither as float or int.
 float64 = cast(Callable[[Any], float], np.float64)
 int64 = cast(Callable[[Any], int], np.int64)
+#: Of all files of loops together.
+_SOURCES = blake2b(b"".join(file.read_bytes() for file in sorted(Path(__file__).parent.glob("*.py")))).hexdigest()
 
 
 def compiled(function: Callable[P, R]) -> Callable[P, R]:
@@ -24,4 +28,7 @@ def compiled(function: Callable[P, R]) -> Callable[P, R]:
     NumPy.
     """
     faster = numba.njit(cache=True, nogil=True, error_model="numpy")(inspect.unwrap(function))
+    if not numba.config.DISABLE_JIT:
+        kept = faster._cache._cache_file  # Numba looks for changes in a function's own file, not in what it calls
+        kept._source_stamp = (kept._source_stamp, _SOURCES)
     return cast(Callable[P, R], faster)  # Numba's decorator has no types

@@ -125,6 +125,10 @@ class Slot:
         theirs.close()
 
 
+#: Seconds that a worker may take to leave.
+_UNWINDING = 10
+
+
 def _serve(connection: Connection) -> None:
     """Worker loop: receive (job, item), send the result, until the connection closes."""
     signal.signal(signal.SIGTERM, _leave)
@@ -147,8 +151,13 @@ def _serve(connection: Connection) -> None:
 def _leave(*_: object) -> None:
     """Exit silently, with stack unwinding, so that temporary files are removed.
 
-    Blender, torn down in the middle of a picture, complains of every block of memory.
+    Blender, torn down in the middle of a picture, complains of every block of memory. A second SIGTERM would interrupt
+    the unwinding, and what waits for threads there would wait for ever; what takes too long is ended, as nobody else
+    may be left to do it.
     """
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    if hasattr(signal, "alarm"):
+        signal.alarm(_UNWINDING)
     nowhere = os.open(os.devnull, os.O_WRONLY)
     for stream in (1, 2):
         os.dup2(nowhere, stream)

@@ -3,6 +3,8 @@
 import atexit
 import os
 import signal
+import subprocess
+import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
 from multiprocessing import active_children
@@ -196,6 +198,27 @@ def test_a_busy_worker_that_is_stopped_says_nothing_and_leaves_no_files(tmp_path
         results.close()
     assert [path.name for path in tmp_path.iterdir()] == ["waiting"]
     assert capfd.readouterr().err == ""
+
+
+def test_a_worker_that_is_told_to_leave_twice_unwinds_once_and_in_bounded_time():
+    program = """
+import signal, time
+from rfpp.reference import worker
+
+worker._UNWINDING = 1
+signal.signal(signal.SIGTERM, worker._leave)
+try:
+    print("busy", flush=True)
+    time.sleep(60)
+finally:
+    time.sleep(60)  # as a lock that nobody gives back
+"""
+    with subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout.readline() == "busy\n"
+        for _ in range(2):
+            process.terminate()
+            time.sleep(0.2)
+        assert process.wait(30) == -signal.SIGALRM
 
 
 def test_a_worker_that_grows_is_replaced():

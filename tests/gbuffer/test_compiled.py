@@ -1,0 +1,40 @@
+"""Compiled loops are kept on disk until any of their sources changes."""
+
+import shutil
+import subprocess
+import sys
+
+from rfpp.gbuffer import compiled
+
+CALLER = """
+from loops.compiled import compiled
+from loops.called import number
+
+@compiled
+def twice():
+    return 2 * number()
+"""
+CALLED = """
+from loops.compiled import compiled
+
+@compiled
+def number():
+    return {}
+"""
+
+
+def test_a_change_in_what_a_loop_calls_is_noticed(tmp_path):
+    loops = tmp_path / "loops"
+    loops.mkdir()
+    shutil.copy(compiled.__file__, loops / "compiled.py")
+    (loops / "caller.py").write_text(CALLER)
+
+    def run(number: int) -> list[int]:
+        (loops / "called.py").write_text(CALLED.format(number))
+        program = "from loops.caller import twice; print(twice(), sum(twice.stats.cache_hits.values()))"
+        done = subprocess.run([sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True, check=True)
+        return [int(part) for part in done.stdout.split()]
+
+    assert run(1) == [2, 0]
+    assert run(1) == [2, 1]  # from disk
+    assert run(7) == [14, 0]
