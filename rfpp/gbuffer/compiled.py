@@ -27,8 +27,8 @@ def compiled(function: Callable[P, R]) -> Callable[P, R]:
     It holds no lock while it runs, so that the network can compute beside it. Divisions by zero are infinite, as in
     NumPy.
     """
-    faster = numba.njit(cache=True, nogil=True, error_model="numpy")(inspect.unwrap(function))
-    if not numba.config.DISABLE_JIT:
+    faster: Any = numba.njit(cache=True, nogil=True, error_model="numpy")(inspect.unwrap(function))
+    if hasattr(faster, "_cache"):  # not where NUMBA_DISABLE_JIT leaves functions as they are
         kept = faster._cache._cache_file  # Numba looks for changes in a function's own file, not in what it calls
         kept._source_stamp = (kept._source_stamp, _SOURCES)
     return cast(Callable[P, R], faster)  # Numba's decorator has no types
