@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from .client import Cancelled, Request, Server, ServerError, View
-from .viewport import shrunk
+from .viewport import shrunk, square_pixels
 
 #: Pixels along the longer side of the smallest picture, and seconds that one may take while the view changes.
 _SMALLEST, _SECONDS = 64, 0.25
@@ -101,7 +101,8 @@ class Newest:
                     self._thread = None
                     return
             scene, view = wanted
-            small = replace(view, size=self._soon(view.size))
+            size = self._soon(view.size)  # of whole pixels, so hardly ever of the same shape
+            small = view if size == view.size else replace(view, size=size, window=square_pixels(view.window, size))
             if self._draw(scene, small) and small.size != view.size and self._wanted is wanted:
                 self._draw(scene, view)
             done = wanted

@@ -10,7 +10,7 @@ from serving import VIEW, scene, server
 
 from rfpp.inference.renderer import Renderer
 
-client, jobs = addon("client"), addon("jobs")
+client, jobs, viewport = addon("client"), addon("jobs"), addon("viewport")
 SIZED = client.View(tuple(map(tuple, VIEW["camera_to_world"])), tuple(VIEW["window"]), (24, 32), 2, 1)
 
 
@@ -109,6 +109,17 @@ def test_a_view_that_changes_is_small_and_what_is_outdated_is_never_asked_for():
     assert renderer.sizes[0] == (48, 64) and renderer.sizes[2] == (192, 256)
     np.testing.assert_array_equal(newest.picture, whole)
     assert newest.error == ""
+
+
+def test_the_small_picture_of_a_viewport_of_any_shape_has_square_pixels():
+    """The server refuses others: 64 x 42 pixels of a window that is one of 256 x 170."""
+    window = viewport.square_pixels((-0.72, 0.72, -0.47, 0.47), (170, 256))
+    with server() as served:
+        newest = jobs.Newest(client.Server(served.url))
+        newest.want(scene().glb(), client.View(SIZED.camera_to_world, window, (170, 256), 2, 1))
+        while newest.is_busy:
+            threading.Event().wait(0.01)
+    assert newest.error == "" and newest.picture.shape == (170, 256, 4)
 
 
 def test_a_viewport_without_a_server_says_so_and_asks_again_when_something_changes():
