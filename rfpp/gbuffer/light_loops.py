@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from rfpp.gbuffer.compiled import compiled
+from rfpp.gbuffer.compiled import compiled, float64
 from rfpp.gbuffer.counted_random import Key, key_of, spread, uniform
 from rfpp.gbuffer.embree import Ray, blocked, new_ray
 from rfpp.gbuffer.ggx import lobe_and_pdf, sampled
@@ -24,10 +24,9 @@ def light_sample(
 ) -> tuple[int, Triple, float, float, bool]:
     """A point of a light: its emitter, direction, density per solid angle, what would arrive of the mean radiance with
     nothing in between, and whether nothing is."""
-    e = _emitter_at(scene, light, u)
-    # what is left of the number within its step is uniform again
-    before = scene.steps[e - 1] if e > scene.first[light] else 0.0
-    root = np.sqrt(min(max((u - before) / (scene.steps[e] - before), 0.0), 1.0))
+    share = share_facing(scene, light, point)
+    e, rest = _facing_emitter(scene, light, point, u * share) if share < 1 else _emitter_at(scene, light, u)
+    root = np.sqrt(min(max(rest, 0.0), 1.0))
     to_a, to_b, to_c = 1 - root, root * (1 - v), root * v
     a, b, c = scene.corners[e]
     x = to_a * a[0] + to_b * b[0] + to_c * c[0] - point[0]
@@ -35,7 +34,7 @@ def light_sample(
     z = to_a * a[2] + to_b * b[2] + to_c * c[2] - point[2]
     distance = np.sqrt(x * x + y * y + z * z)
     way = (x / distance, y / distance, z / distance)
-    density, radiance = density_of(scene, e, way, distance), scene.radiance[e]
+    density, radiance = density_of(scene, e, way, distance) / share, scene.radiance[e]
     arriving = (radiance[0] + radiance[1] + radiance[2]) / 3 * max(dot(way, normal), 0.0) / density
     clear = arriving > 0 and not blocked(scene.address, ray, point, way, distance - CLEARANCE)
     return e, way, density, arriving, clear
@@ -49,11 +48,25 @@ def density_of(scene: LitScene, e: int, way: Vector, distance: float) -> float:
 
 
 @compiled
+def share_facing(scene: LitScene, light: int, point: Vector) -> float:
+    """The share of a light's samples that its sides towards a point have, which alone are sampled; 1 where all are."""
+    if not scene.solid[light]:
+        return 1.0
+    share = 0.0
+    for e in range(scene.first[light], scene.first[light + 1]):
+        if _faces(scene, e, point):
+            share += _share_of(scene, light, e)
+    return share if share > 0 else 1.0  # none face a point within the light
+
+
+@compiled
 def by_formula(
     scene: LitScene, light: int, point: Vector, normal: Vector, share: float, diffuse: Float[np.ndarray, " 3"]
 ) -> None:
     """Adds irradiance / π of a light of which a share is in sight, by Lambert's formula."""
     for e in range(scene.first[light], scene.first[light + 1]):
+        if scene.solid[light] and not _faces(scene, e, point):
+            continue
         factor = of_triangle(point, normal, scene.corners[e]) * share
         for c in range(3):
             diffuse[c] += scene.radiance[e, c] * factor
@@ -82,6 +95,7 @@ def along_lobe(
 def emitter_light(
     scene: LitScene,
     emitter: int,
+    point: Vector,
     way: Vector,
     distance: float,
     view: Vector,
@@ -90,10 +104,12 @@ def emitter_light(
     glossy: Float[np.ndarray, " 3"],
 ) -> None:
     """Adds what a ray of the lobe that has met an emitter brings, untinted and of single scattering."""
-    if not scene.shining[light_of(scene, emitter)]:
+    light = light_of(scene, emitter)
+    if not scene.shining[light]:
         return
     reflected, by_lobe = lobe_and_pdf(view, toward, alpha)
-    weight = reflected * over_density(by_lobe, density_of(scene, emitter, way, distance))
+    density = density_of(scene, emitter, way, distance) / share_facing(scene, light, point)
+    weight = reflected * over_density(by_lobe, density)
     for c in range(3):
         glossy[c] += weight * scene.radiance[emitter, c]
 
@@ -155,7 +171,7 @@ def direct_at(
         if toward[2] > 0:
             triangle, _, _, distance, _ = met(scene, ray, point, way)
             if triangle >= 0 and scene.emitter[triangle] >= 0:
-                emitter_light(scene, scene.emitter[triangle], way, distance, view, toward, alpha, glossy)
+                emitter_light(scene, scene.emitter[triangle], point, way, distance, view, toward, alpha, glossy)
     for c in range(3):
         glossy[c] *= scattering(scene, view[2], alpha, specular[c])
 
@@ -187,8 +203,38 @@ def gathered_each(
 
 
 @compiled
-def _emitter_at(scene: LitScene, light: int, u: float) -> int:
-    """The emitter of a light whose step a number lies in."""
+def _faces(scene: LitScene, e: int, point: Vector) -> bool:
+    """Whether a side of a solid light faces a point."""
+    corner, facing = scene.corners[e, 0], scene.facing[e]
+    x, y, z = point[0] - corner[0], point[1] - corner[1], point[2] - corner[2]
+    return bool(x * facing[0] + y * facing[1] + z * facing[2] > 0)
+
+
+@compiled
+def _share_of(scene: LitScene, light: int, e: int) -> float:
+    """That an emitter has of its light's samples."""
+    before = scene.steps[e - 1] if e > scene.first[light] else 0.0
+    return float64(scene.steps[e] - before)
+
+
+@compiled
+def _facing_emitter(scene: LitScene, light: int, point: Vector, u: float) -> tuple[int, float]:
+    """The side of a solid light, of those that face a point, whose step a number lies in, and how far along it."""
+    found, rest = scene.first[light], 0.0
+    for e in range(scene.first[light], scene.first[light + 1]):
+        if not _faces(scene, e, point):
+            continue
+        share = _share_of(scene, light, e)
+        found, rest = e, u / share
+        if u < share:
+            break
+        u -= share
+    return found, rest
+
+
+@compiled
+def _emitter_at(scene: LitScene, light: int, u: float) -> tuple[int, float]:
+    """The emitter of a light whose step a number lies in, and how far along it, which is uniform again."""
     low: int = scene.first[light]
     high: int = scene.first[light + 1] - 1
     while low < high:
@@ -197,4 +243,5 @@ def _emitter_at(scene: LitScene, light: int, u: float) -> int:
             high = middle
         else:
             low = middle + 1
-    return low
+    before = scene.steps[low - 1] if low > scene.first[light] else 0.0
+    return low, (u - before) / (scene.steps[low] - before)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from copy import copy
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Float, Int
 
 from rfpp.errors import UserError
 from rfpp.gbuffer.ggx import lobe_albedo
@@ -45,6 +45,14 @@ class LightSampler:
         self.names, count = triangles.light_names, np.bincount(light)
         power = area * radiance.mean(-1)
         share = power / np.bincount(light, power)[light] if len(light) else power
+        facing = cross / size[:, None]
+        solid, flat = np.zeros(len(count), np.bool_), count == 1
+        others = triangles.positions[~triangles.is_emissive, 0]
+        for number in np.flatnonzero((count > 1) & (count <= _FORMULA_UP_TO)):
+            own = light == number
+            flat[number] = (np.abs(facing[own] @ facing[own][0]) > 1 - 1e-6).all()
+            if not flat[number]:
+                facing[own], solid[number] = _outwards(corners[own], facing[own], area[own], others)
         emitter = np.full(len(triangles), -1)
         emitter[emitters] = np.arange(len(emitters))
         self.scene = LitScene(
@@ -54,13 +62,14 @@ class LightSampler:
             material=np.ascontiguousarray(triangles.material, np.float32),
             emitter=emitter,
             corners=corners,
-            facing=cross / size[:, None],
+            facing=facing,
             radiance=radiance,
             steps=np.concatenate([np.zeros(0), *(np.cumsum(share[light == number]) for number in range(len(count)))]),
             density=share / area,
             first=np.concatenate([[0], np.cumsum(count)]),
             shining=np.ones(len(count), np.bool_),
-            exact=count <= _FORMULA_UP_TO,
+            exact=solid | flat,
+            solid=solid,
             **dict(zip(("albedo", "mean_albedo"), lobe_albedo(), strict=True)),
         )
 
@@ -76,3 +85,19 @@ class LightSampler:
         """The emitter that a triangle is; -1 for others, and for -1."""
         emitter: np.ndarray = np.append(self.scene.emitter, -1)[triangle]
         return emitter
+
+
+def _outwards(
+    corners: Float[np.ndarray, "e 3 3"],
+    facing: Float[np.ndarray, "e 3"],
+    area: Float[np.ndarray, " e"],
+    others: Float[np.ndarray, "n 3"],
+) -> tuple[Float[np.ndarray, "e 3"], bool]:
+    """Normals away from the middle, and whether the triangles bound a convex body without any of the other points."""
+    middle = (corners.mean(1) * area[:, None]).sum(0) / area.sum()
+    side = ((corners[:, 0] - middle) * facing).sum(-1, keepdims=True)
+    outwards = np.where(side < 0, -facing, facing)
+    offset, nearly = (corners[:, 0] * outwards).sum(-1), 1e-4 * np.abs(corners - middle).max()
+    convex = (corners.reshape(-1, 3) @ outwards.T < offset + nearly).all()
+    closed = np.linalg.norm((outwards * area[:, None]).sum(0)) < 1e-4 * area.sum()  # then vector areas cancel
+    return outwards, bool(convex and closed and not (others @ outwards.T < offset).all(-1).any())

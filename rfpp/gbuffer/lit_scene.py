@@ -27,7 +27,9 @@ class LitScene(NamedTuple):
         steps: [E] sums of the shares that triangles have of the samples of their light, up to each.
         density: [E] of samples of their light, per area.
         first: [L + 1] emitters of each light.
-        shining, exact: [L] whether its light is wanted; whether its triangles are few enough for Lambert's formula.
+        shining: [L] whether its light is wanted.
+        exact: [L] whether Lambert's formula gives it: its triangles are few and parallel, or it is solid.
+        solid: [L] whether its triangles are few and bound a convex body, of which a point sees the sides that face it.
         albedo, mean_albedo: see `rfpp.gbuffer.ggx.lobe_albedo`.
     """
 
@@ -44,6 +46,7 @@ class LitScene(NamedTuple):
     first: Int[np.ndarray, " l_plus_1"]
     shining: Bool[np.ndarray, " l"]
     exact: Bool[np.ndarray, " l"]
+    solid: Bool[np.ndarray, " l"]
     albedo: Float[np.ndarray, "table table"]
     mean_albedo: Float[np.ndarray, " table"]
 

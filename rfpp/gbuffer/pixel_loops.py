@@ -217,7 +217,7 @@ def lobe_rays(
             if triangle < 0:
                 continue
             if scene.emitter[triangle] >= 0:
-                emitter_light(scene, scene.emitter[triangle], way, distance, view, toward, alpha, emitted)
+                emitter_light(scene, scene.emitter[triangle], point, way, distance, view, toward, alpha, emitted)
                 continue
             if not reflects or distance <= 0:
                 continue

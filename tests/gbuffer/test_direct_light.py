@@ -8,6 +8,7 @@ from known_scenes import LIGHT, look_at, material, moved, pack, rigid_motion, sp
 from marks import requires_blender
 from reference_presets import preset
 from scene_families import draw, family
+from slow_light import direct_light
 
 from rfpp.gbuffer import known_light, surface, threads
 from rfpp.gbuffer.first_hit import DirectLight, GBuffer, channel, first_hit, stack_channels
@@ -107,6 +108,42 @@ def test_more_samples_find_the_same_light(roughness):
     standard_error = few.std(0) / len(few) ** 0.5
     assert (np.abs(few.mean(0) - many) < 5 * standard_error + 0.005 * many.max()).all()
     assert few.mean() == pytest.approx(many.mean(), rel=0.02)
+
+
+#: Lamps of few triangles: solid ones, wound either way, and a roof of two sides.
+TETRAHEDRON = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]])[[[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]]]
+ROOF = np.array([[[-1, -1, 0], [1, -1, 0], [0, 0, 1]], [[-1, 1, 0], [0, 0, 1], [1, 1, 0.0]]])
+LAMPS = {
+    "tetrahedron": 0.1 * TETRAHEDRON + [0.2, 0.1, 1.0],
+    "inside out": 0.1 * TETRAHEDRON[:, ::-1] + [0.2, 0.1, 1.0],
+    "roof": 0.2 * ROOF + [0.2, 0.1, 0.8],
+}
+
+
+@pytest.mark.parametrize("lamp", LAMPS)
+@pytest.mark.parametrize("roughness", [0.4, 0.6])
+def test_the_sides_of_a_lamp_that_hide_each_other_send_what_they_should(lamp, roughness):
+    floor = (square(2), material(0.5, specular=0.4, roughness=roughness))
+    scene = pack(floor, (LAMPS[lamp], material(1.0, emission=20.0)))
+    few, many = (lit(scene, samples=samples, size=24) for samples in (1, 64))
+    points = surface.Surface.seen(many, scene, POSE, 40.0)
+    truth = direct_light(scene, points, 400, np.random.default_rng(0))
+    for number, most in enumerate((0.03, 0.06)):  # of the noise of both in single pixels
+        found, of_one_sample = ((seen.light.diffuse, seen.light.glossy)[number][seen.hit] for seen in (many, few))
+        assert relative_error(found, truth[number]) < most
+        assert found.mean() == pytest.approx(truth[number].mean(), rel=0.02)
+        assert of_one_sample.mean() == pytest.approx(truth[number].mean(), rel=0.1)
+
+
+def test_a_lamp_around_the_scene_is_no_solid():
+    room = (30.0 * TETRAHEDRON, material(1.0, emission=20.0))
+    assert not LightSampler(pack((square(2), material(0.5)), room)).scene.solid.any()
+
+
+@pytest.mark.parametrize("lamp", ["tetrahedron", "inside out"])
+def test_light_of_a_solid_lamp_carries_no_noise(lamp):
+    scene = pack((square(2), material(0.5)), (LAMPS[lamp], material(1.0, emission=20.0)))
+    np.testing.assert_array_equal(light(scene, samples=1).diffuse, light(scene, samples=8, seed=3).diffuse)
 
 
 def test_an_emissive_mesh_is_one_light_in_every_way():
