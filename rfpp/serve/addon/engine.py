@@ -162,7 +162,10 @@ class Viewport:
         self._newest.want(self._scene, view)
         if self._newest.error:
             return self._newest.error
-        return f"{self._left_out} things left out: F12 says which" if self._left_out else ""
+        if self._newest.picture is None:
+            return "The first picture is on its way"
+        things = f"{self._left_out} thing{'s' * (self._left_out != 1)}"
+        return f"{things} left out: F12 says which" if self._left_out else ""
 
 
 def _texture(picture: np.ndarray):
