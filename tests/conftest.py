@@ -15,6 +15,10 @@ from slurm_cluster import SlurmCluster
 
 torch.set_num_threads(1)  # two threads on busy cores stall each other
 
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    # started in the background of a script: processes that tests start are to hear Ctrl-C all the same
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+
 #: Files and tests that `make test` leaves to `make test-all`.
 _SLOW = Path(__file__).with_name("slow_tests.txt")
 #: Seconds in which the process has to end after its last test.
