@@ -23,7 +23,7 @@ class LitScene(NamedTuple):
         address: of the structure that rays are cast into (`rfpp.gbuffer.embree`).
         positions, normals, material: as `SceneTriangles` has them.
         emitter: [M] row of those that emit below, -1 for others.
-        corners, facing, radiance: [E, 3, 3], [E, 3] unit normals, [E, 3], light by light.
+        corners, facing, radiance: [E, 3, 3], [E, 3] unit normals, of solid lights outwards, [E, 3], light by light.
         steps: [E] sums of the shares that triangles have of the samples of their light, up to each.
         density: [E] of samples of their light, per area.
         first: [L + 1] emitters of each light.
