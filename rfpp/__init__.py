@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 # loaded.
 if "OMP_WAIT_POLICY" not in os.environ:
     os.environ.setdefault("GOMP_SPINCOUNT", "3000")
+# So do threads of OpenBLAS, which NumPy uses, 2^n cycles long after each product: by default as long as a view's rays take.
+os.environ.setdefault("OPENBLAS_THREAD_TIMEOUT", "16")
 
 __all__ = ["DifferentiableRenderer", "Renderer", "Scene", "load_scene", "save_scene"]
 

@@ -100,8 +100,9 @@ class CellGrid:
 def principal_axes(corners: Float[np.ndarray, "m 3 3"]) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, "3 3"]]:
     """Centroid of a surface and its principal axes, as rows, longest first, each towards the heavier tail.
 
-    Second moments are exact over triangles. Where a symmetric object leaves axes open, they point to the vertex that is
-    farthest: under any motion of the object, to one of those that its symmetry takes into each other.
+    Second moments are exact over triangles. What a symmetric object leaves open its vertices decide, in their order, so
+    that rounding does not, which differs between processors: axes point to the first of the farthest vertices, and
+    where no tail is heavier, to the first of those that lie farthest along them.
     """
     area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=-1)
     area = area / max(area.sum(), 1e-30)
@@ -117,11 +118,22 @@ def principal_axes(corners: Float[np.ndarray, "m 3 3"]) -> tuple[Float[np.ndarra
         alike = [axis for axis, s in zip(open_axes, sizes, strict=True) if sizes[0] - s <= _SYMMETRIC * size[-1]]
         if len(alike) > 1:
             within = vertices @ np.stack(alike).T
-            farthest = within[np.square(within).sum(-1).argmax()]
+            farthest = within[_first_largest(np.square(within).sum(-1))]
             turned = np.linalg.qr(np.column_stack([farthest, np.eye(len(alike))]))[0].T @ np.stack(alike)
             open_axes[: len(alike)] = list(turned)
         axes.append(open_axes.pop(0))
         sizes.pop(0)
     rows = np.stack(axes)
     tail = area @ ((corners.mean(1) - centroid) @ rows.T) ** 3
-    return centroid, rows * np.where(tail < 0, -1.0, 1.0)[:, None]
+    along = vertices @ rows.T
+    ends = np.array([row[_first_largest(np.abs(row))] for row in along.T])
+    side = np.where(np.abs(tail) > _SYMMETRIC * np.abs(ends) ** 3, tail, ends)
+    rows = rows * np.where(side < 0, -1.0, 1.0)[:, None]
+    if abs(ends[2]) <= _SYMMETRIC * abs(ends[0]):  # flat
+        rows[2] = np.cross(rows[0], rows[1])
+    return centroid, rows
+
+
+def _first_largest(values: Float[np.ndarray, " n"]) -> int:
+    """Where the first of those is that are largest but for rounding."""
+    return int(np.argmax(values >= values.max() * (1 - _SYMMETRIC)))

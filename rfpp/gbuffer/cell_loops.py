@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from jaxtyping import Float, Int
 
 from rfpp.gbuffer.cell_table import NOWHERE, CellTable, cell_of, key_at
 from rfpp.gbuffer.compiled import compiled
 from rfpp.gbuffer.counted_random import Key, key_of, uniform
-from rfpp.gbuffer.embree import Ray, new_ray
 from rfpp.gbuffer.ggx import lobe_and_pdf
 from rfpp.gbuffer.light_loops import along_lobe, direct_at
 from rfpp.gbuffer.lit_scene import (
@@ -16,14 +17,28 @@ from rfpp.gbuffer.lit_scene import (
     alpha_of,
     blurred,
     density_of_lobes,
-    growth,
     met,
     scattering,
+    slope_of,
     surface_there,
 )
 from rfpp.gbuffer.surface import Points
 from rfpp.gbuffer.traces import Trace
-from rfpp.gbuffer.vectors import GOLDEN, Triple, Vector, dot, in_frame, in_world, normal_of, tangents, triple
+from rfpp.gbuffer.vectors import (
+    BLACK,
+    GOLDEN,
+    Triple,
+    Vector,
+    added,
+    dot,
+    in_frame,
+    in_world,
+    mean,
+    normal_of,
+    product,
+    tangents,
+    triple,
+)
 
 #: Pixels along each side of a tile.
 _TILE = 4
@@ -31,54 +46,75 @@ _TILE = 4
 _WAY_U, _WAY_V, _SENT, _LIGHT = 0, 1, 2, 3
 
 
+class End(NamedTuple):
+    """What a ray meets.
+
+    Attributes:
+        triangle: -1 for none.
+        cell: NOWHERE for none.
+        onward: the cell in which the ray ends that the glossy lobe there throws on; NOWHERE for none, and in the share
+            in which the lobe, for all that its albedo does not say, sends no light on.
+        light: radiance of the emitters that comes back along the ray, by the lobes that were asked for.
+        by_diffuse, by_specular: its derivatives by the albedos there.
+    """
+
+    triangle: int
+    cell: int
+    onward: int
+    light: Triple
+    by_diffuse: Triple
+    by_specular: Triple
+
+
 @compiled
 def followed(
     scene: LitScene,
     table: CellTable,
-    ray: Ray,
     origin: Vector,
     way: Vector,
     density: float,
     key: Key,
-    light: Float[np.ndarray, "2 3"],
-) -> tuple[int, int, int]:
-    """What a ray meets: its triangle, its cell, and the cell in which the ray ends that the glossy lobe there throws
-    on. In the first row of `light` [2, 3], the radiance of the emitters that comes back by way of that lobe; in the
-    second, its derivative by the specular albedo there.
-
-    Onward is NOWHERE in the share in which the lobe, for all that its albedo does not say, sends no light on.
+    wants_diffuse: bool,
+    wants_glossy: bool,
+) -> End:
+    """What a ray meets.
 
     Args:
         density: per solid angle, with which the surface that the ray leaves sends rays this way.
+        wants_diffuse, wants_glossy: of which lobes the emitters' light is wanted.
     """
-    light[:] = 0.0
-    triangle, a, b, distance, there = met(scene, ray, origin, way)
+    triangle, a, b, distance, there = met(scene, origin, way)
     if triangle < 0:
-        return triangle, NOWHERE, NOWHERE
+        return End(triangle, NOWHERE, NOWHERE, BLACK, BLACK, BLACK)
     cell = _cell_met(scene, table, triangle, way, there)
-    specular = triple(scene.material[triangle, 3:6])
     # a ray that starts on another surface, where two touch, ends where it starts: it is not seen from anywhere
-    if scene.emitter[triangle] >= 0 or distance <= 0 or max(specular[0], specular[1], specular[2]) <= 0:
-        return triangle, cell, NOWHERE
+    if scene.emitter[triangle] >= 0 or distance <= 0:
+        return End(triangle, cell, NOWHERE, BLACK, BLACK, BLACK)
+    diffuse, specular = triple(scene.material[triangle]), triple(scene.material[triangle, 3:6])
     point, normal, back = surface_there(scene, triangle, a, b, way, there)
-    alpha = blurred(alpha_of(scene, triangle), density)
+    cosine = dot(normal, back)
+    shines = max(specular[0], specular[1], specular[2]) > 0 and cosine > 0
+    alpha = blurred(alpha_of(scene, triangle), density) if shines else -1.0
+    dull, glossy, slope = BLACK, BLACK, BLACK
+    if wants_diffuse or (wants_glossy and shines):
+        of_light, of_lobe = key_of(key, _LIGHT), alpha if wants_glossy else -1.0
+        dull, glossy = direct_at(scene, point, normal, back, of_lobe, specular, 1, of_light, wants_diffuse)
+        dull = dull if wants_diffuse else BLACK
+    light = added(product(diffuse, dull), product(specular, glossy))
+    if not shines:
+        return End(triangle, cell, NOWHERE, light, dull, slope)
+    slope = slope_of(scene, glossy, cosine, alpha, specular)
     first, second = tangents(normal)
     view = in_frame(back, first, second, normal)
-    if view[2] <= 0:
-        return triangle, cell, NOWHERE
-    of_light = key_of(key, _LIGHT)
-    direct_at(scene, ray, point, normal, back, alpha, specular, 1, of_light, False, light[1], light[0])
-    for c in range(3):
-        light[1, c] = light[0, c] * (1 + specular[c] * growth(scene, view[2], alpha, specular[c]))
-        light[0, c] *= specular[c]
     sent, way = thrown(
         scene, view, alpha, specular, uniform(key, _WAY_U), uniform(key, _WAY_V), uniform(key, _SENT), first, second,
         normal,
     )  # fmt: skip
-    if not sent:
-        return triangle, cell, NOWHERE
-    other, _, _, _, there = met(scene, ray, point, way)
-    return triangle, cell, (_cell_met(scene, table, other, way, there) if other >= 0 else NOWHERE)
+    onward = NOWHERE
+    if sent:
+        other, _, _, _, there = met(scene, point, way)
+        onward = _cell_met(scene, table, other, way, there) if other >= 0 else NOWHERE
+    return End(triangle, cell, onward, light, dull, slope)
 
 
 @compiled
@@ -126,13 +162,13 @@ def follow_each(
     slope: Float[np.ndarray, "r 3"],
 ) -> None:
     """Rays one by one; see `followed`."""
-    ray, found = new_ray(), np.zeros((2, 3))
     for row in range(start, stop):
-        of_ray = key_of(key, row)
-        triangle[row], cell[row], onward[row] = followed(
-            scene, table, ray, triple(origins[row]), triple(ways[row]), density[row], of_ray, found
-        )
-        light[row], slope[row] = found[0], found[1]
+        of_ray, origin, way = key_of(key, row), triple(origins[row]), triple(ways[row])
+        # what leaves to all sides of a cell is for the network to move
+        end = followed(scene, table, origin, way, density[row], of_ray, False, True)
+        triangle[row], cell[row], onward[row] = end.triangle, end.cell, end.onward
+        for c in range(3):
+            light[row, c], slope[row, c] = end.light[c], end.by_specular[c]
 
 
 @compiled
@@ -161,8 +197,7 @@ def cells_seen(
         light: [pixels, 3] highlights.
         trace: of `light`, to fill in (`rfpp.gbuffer.traces.Trace`).
     """
-    ray, found, traced = new_ray(), np.zeros((2, 3)), trace.triangle.shape[1] > 0
-    rays = diffuse.shape[1]
+    rays, traced = diffuse.shape[1], trace.triangle.shape[1] > 0
     for pixel in range(start, stop):
         own_key = key_of(key, pixel)
         y, x = pixel // width, pixel % width
@@ -179,24 +214,22 @@ def cells_seen(
             specular = triple(points.specular[row])
             first, second = tangents(normal)
             view = in_frame(points.eye[row], first, second, normal)
-            mean_diffuse = (points.diffuse[row, 0] + points.diffuse[row, 1] + points.diffuse[row, 2]) / 3
-            mean_specular = (specular[0] + specular[1] + specular[2]) / 3
+            mean_diffuse, mean_specular = mean(points.diffuse[row]), mean(specular)
             # as dense as diffuse light arrives: points of a disc, lifted (Malley 1988)
             radius, angle = np.sqrt(u), 2 * np.pi * v
             toward = (radius * np.cos(angle), radius * np.sin(angle), np.sqrt(1 - u))
             by_lobe = lobe_and_pdf(view, toward, alpha)[1] if alpha >= 0 else 0.0
             density = density_of_lobes(mean_diffuse, mean_specular, toward[2], by_lobe)
             way = in_world(toward, first, second, normal)
-            of_ray = key_of(own_key, 2 * s)
-            triangle, diffuse[pixel, s], diffuse_on[pixel, s] = followed(
-                scene, table, ray, point, way, density, of_ray, found
-            )
+            end = followed(scene, table, point, way, density, key_of(own_key, 2 * s), False, True)
+            diffuse[pixel, s], diffuse_on[pixel, s] = end.cell, end.onward
             for c in range(3):
-                light[pixel, c] += found[0, c] / rays
-            if traced and triangle >= 0:
-                trace.triangle[pixel, s] = triangle
+                light[pixel, c] += end.light[c] / rays
+            if traced and end.triangle >= 0:
+                trace.triangle[pixel, s] = end.triangle
                 for c in range(3):
-                    trace.specular[pixel, s, c] = found[1, c] / rays
+                    trace.diffuse[pixel, s, c] = end.by_diffuse[c] / rays
+                    trace.specular[pixel, s, c] = end.by_specular[c] / rays
             if alpha < 0:
                 continue
             # each ray of a pixel is absorbed above a threshold of its own
@@ -206,9 +239,9 @@ def cells_seen(
                 continue
             toward = in_frame(way, first, second, normal)
             density = density_of_lobes(mean_diffuse, mean_specular, toward[2], lobe_and_pdf(view, toward, alpha)[1])
-            _, glossy[pixel, s], glossy_on[pixel, s] = followed(
-                scene, table, ray, point, way, density, key_of(own_key, 2 * s + 1), found
-            )
+            # the emitters' light that comes this way is in `reflected_light`
+            end = followed(scene, table, point, way, density, key_of(own_key, 2 * s + 1), False, False)
+            glossy[pixel, s], glossy_on[pixel, s] = end.cell, end.onward
 
 
 @compiled

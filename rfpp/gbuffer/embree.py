@@ -10,12 +10,14 @@ import ctypes
 from collections.abc import Callable
 from functools import cache
 from importlib import metadata
-from typing import cast
+from typing import Any, cast
 
 import llvmlite.binding
 import numpy as np
-from jaxtyping import Float32
+from llvmlite import ir
 from numba import types
+from numba.core import cgutils
+from numba.extending import intrinsic
 
 from rfpp.errors import MissingDependencyError
 from rfpp.gbuffer.compiled import compiled, float64, int64
@@ -63,9 +65,10 @@ def embree() -> ctypes.CDLL:
 
 
 # Numba's stubs know what declares a function, not that compiled code calls it.
-_Query = Callable[[int, int, int], None]
-_intersect = cast(_Query, types.ExternalFunction("rtcIntersect1", types.void(types.uintp, types.uintp, types.uintp)))
-_occluded = cast(_Query, types.ExternalFunction("rtcOccluded1", types.void(types.uintp, types.uintp, types.uintp)))
+_RAY = types.CPointer(types.float32)
+_Query = Callable[[int, np.ndarray, int], None]
+_intersect = cast(_Query, types.ExternalFunction("rtcIntersect1", types.void(types.uintp, _RAY, types.uintp)))
+_occluded = cast(_Query, types.ExternalFunction("rtcOccluded1", types.void(types.uintp, _RAY, types.uintp)))
 
 
 class Structure:
@@ -104,50 +107,65 @@ class Structure:
 
 
 #: Numbers of a ray and its hit (`RTCRayHit`), padded.
-RAY_NUMBERS = 32
-#: Memory for one ray at a time.
-Ray = Float32[np.ndarray, " 32"]
+_RAY_NUMBERS = 32
+
+
+@intrinsic
+def _new_ray(typing: Any) -> tuple[Any, Callable[..., Any]]:
+    """Memory of a ray, in the frame of the function that calls: no other thread sees it, and nobody has to free it."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        memory = cgutils.alloca_once(builder, ir.ArrayType(ir.FloatType(), _RAY_NUMBERS))
+        memory.align = 16  # as Embree asks for
+        return builder.bitcast(memory, ir.FloatType().as_pointer())
+
+    return _RAY(), generate
+
+
+@intrinsic
+def _integers(typing: Any, ray: Any) -> tuple[Any, Callable[..., Any]]:
+    """The same memory as integers of 32 bits."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return builder.bitcast(arguments[0], ir.IntType(32).as_pointer())
+
+    return types.CPointer(types.int32)(_RAY), generate
 
 
 @compiled
-def new_ray() -> Ray:
-    """Memory of `closest` and `blocked`."""
-    return np.zeros(RAY_NUMBERS, np.float32)
-
-
-@compiled
-def closest(address: int, ray: Ray, origin: Vector, way: Vector) -> tuple[int, float, float, float]:
+def closest(address: int, origin: Vector, way: Vector) -> tuple[int, float, float, float]:
     """The nearest triangle in front of a ray, -1 for none; its corners' weights 1 and 2; the distance.
 
     Args:
         address: of a `Structure`; 0 where there is none.
-        ray: `new_ray()`.
     """
     if address == 0:
         return -1, 0.0, 0.0, np.inf
+    ray = _new_ray()
     _set(ray, origin, way, np.inf)
-    numbers = ray.view(np.int32)
+    numbers = _integers(ray)
     numbers[17], numbers[18], numbers[19] = -1, -1, -1
-    _intersect(address, ray.ctypes.data, 0)
+    _intersect(address, ray, 0)
     if numbers[18] == -1:
         return -1, 0.0, 0.0, np.inf
     return int64(numbers[17]), float64(ray[15]), float64(ray[16]), float64(ray[8])
 
 
 @compiled
-def blocked(address: int, ray: Ray, origin: Vector, way: Vector, reach: float) -> bool:
+def blocked(address: int, origin: Vector, way: Vector, reach: float) -> bool:
     """Whether anything lies on a ray nearer than `reach`."""
     if address == 0:
         return False
+    ray = _new_ray()
     _set(ray, origin, way, reach)
-    _occluded(address, ray.ctypes.data, 0)
+    _occluded(address, ray, 0)
     found: bool = ray[8] < 0
     return found
 
 
 @compiled
-def _set(ray: Ray, origin: Vector, way: Vector, reach: float) -> None:
-    numbers = ray.view(np.int32)
+def _set(ray: np.ndarray, origin: Vector, way: Vector, reach: float) -> None:
+    numbers = _integers(ray)
     ray[0], ray[1], ray[2], ray[3] = origin[0], origin[1], origin[2], 0.0
     ray[4], ray[5], ray[6], ray[7] = way[0], way[1], way[2], 0.0
     ray[8], numbers[9], numbers[10], numbers[11] = reach, -1, 0, 0

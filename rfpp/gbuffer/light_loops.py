@@ -7,12 +7,12 @@ from jaxtyping import Float
 
 from rfpp.gbuffer.compiled import compiled, float64
 from rfpp.gbuffer.counted_random import Key, key_of, spread, uniform
-from rfpp.gbuffer.embree import Ray, blocked, new_ray
+from rfpp.gbuffer.embree import blocked
 from rfpp.gbuffer.ggx import lobe_and_pdf, sampled
-from rfpp.gbuffer.lit_scene import CLEARANCE, LitScene, light_of, met, scattering
+from rfpp.gbuffer.lit_scene import CLEARANCE, LitScene, light_of, met, tinted
 from rfpp.gbuffer.polygon_light import of_triangle
 from rfpp.gbuffer.surface import Points
-from rfpp.gbuffer.vectors import Triple, Vector, dot, in_frame, in_world, tangents, triple
+from rfpp.gbuffer.vectors import BLACK, Triple, Vector, added, dot, in_frame, in_world, scaled, tangents, triple
 
 #: Lobes wider than this α find emitters by samples of the lights alone.
 WIDE = 0.1
@@ -20,7 +20,7 @@ WIDE = 0.1
 
 @compiled
 def light_sample(
-    scene: LitScene, ray: Ray, light: int, point: Vector, normal: Vector, u: float, v: float
+    scene: LitScene, light: int, point: Vector, normal: Vector, u: float, v: float
 ) -> tuple[int, Triple, float, float, bool]:
     """A point of a light: its emitter, direction, density per solid angle, what would arrive of the mean radiance with
     nothing in between, and whether nothing is."""
@@ -36,7 +36,7 @@ def light_sample(
     way = (x / distance, y / distance, z / distance)
     density, radiance = density_of(scene, e, way, distance) / share, scene.radiance[e]
     arriving = (radiance[0] + radiance[1] + radiance[2]) / 3 * max(dot(way, normal), 0.0) / density
-    clear = arriving > 0 and not blocked(scene.address, ray, point, way, distance - CLEARANCE)
+    clear = arriving > 0 and not blocked(scene.address, point, way, distance - CLEARANCE)
     return e, way, density, arriving, clear
 
 
@@ -60,16 +60,15 @@ def share_facing(scene: LitScene, light: int, point: Vector) -> float:
 
 
 @compiled
-def by_formula(
-    scene: LitScene, light: int, point: Vector, normal: Vector, share: float, diffuse: Float[np.ndarray, " 3"]
-) -> None:
-    """Adds irradiance / π of a light of which a share is in sight, by Lambert's formula."""
+def by_formula(scene: LitScene, light: int, point: Vector, normal: Vector, share: float) -> Triple:
+    """Irradiance / π of a light of which a share is in sight, by Lambert's formula."""
+    arriving = BLACK
     for e in range(scene.first[light], scene.first[light + 1]):
         if scene.solid[light] and not _faces(scene, e, point):
             continue
         factor = of_triangle(point, normal, scene.corners[e]) * share
-        for c in range(3):
-            diffuse[c] += scene.radiance[e, c] * factor
+        arriving = added(arriving, scaled(triple(scene.radiance[e]), factor))
+    return arriving
 
 
 @compiled
@@ -101,23 +100,19 @@ def emitter_light(
     view: Vector,
     toward: Vector,
     alpha: float,
-    glossy: Float[np.ndarray, " 3"],
-) -> None:
-    """Adds what a ray of the lobe that has met an emitter brings, untinted and of single scattering."""
+) -> Triple:
+    """What a ray of the lobe that has met an emitter brings, untinted and of single scattering."""
     light = light_of(scene, emitter)
     if not scene.shining[light]:
-        return
+        return BLACK
     reflected, by_lobe = lobe_and_pdf(view, toward, alpha)
     density = density_of(scene, emitter, way, distance) / share_facing(scene, light, point)
-    weight = reflected * over_density(by_lobe, density)
-    for c in range(3):
-        glossy[c] += weight * scene.radiance[emitter, c]
+    return scaled(triple(scene.radiance[emitter]), reflected * over_density(by_lobe, density))
 
 
 @compiled
 def direct_at(
     scene: LitScene,
-    ray: Ray,
     point: Vector,
     normal: Vector,
     view: Vector,
@@ -126,10 +121,8 @@ def direct_at(
     samples: int,
     key: Key,
     wants_diffuse: bool,
-    diffuse: Float[np.ndarray, " 3"],
-    glossy: Float[np.ndarray, " 3"],
-) -> None:
-    """Sets irradiance / π and glossy light at a point, in the units of `DirectLight`.
+) -> tuple[Triple, Triple]:
+    """Irradiance / π and glossy light at a point, in the units of `DirectLight`.
 
     Args:
         view: towards the eye.
@@ -137,9 +130,8 @@ def direct_at(
         specular: albedo, by which multiple scattering is coloured.
         samples: shadow rays to each light.
         wants_diffuse: whether irradiance is of interest.
-        diffuse, glossy: [3].
     """
-    diffuse[:], glossy[:] = 0.0, 0.0
+    diffuse, glossy = BLACK, BLACK
     first, second = tangents(normal)
     view = in_frame(view, first, second, normal)
     for light in range(len(scene.shining)):
@@ -149,31 +141,30 @@ def direct_at(
         visible, whole, exact = 0.0, 0.0, scene.exact[light]
         for s in range(samples):
             u, v = spread(s, shift_u, shift_v)
-            e, way, density, arriving, clear = light_sample(scene, ray, light, point, normal, u, v)
+            e, way, density, arriving, clear = light_sample(scene, light, point, normal, u, v)
             whole += arriving
             if not clear:
                 continue
             visible += arriving
-            toward = in_frame(way, first, second, normal)
-            for c in range(3):
-                diffuse[c] += 0.0 if exact else toward[2] / density / (np.pi * samples) * scene.radiance[e, c]
+            toward, radiance = in_frame(way, first, second, normal), triple(scene.radiance[e])
+            if not exact:
+                diffuse = added(diffuse, scaled(radiance, toward[2] / density / (np.pi * samples)))
             if alpha >= 0:
                 reflected, by_lobe = lobe_and_pdf(view, toward, alpha)
                 weight = reflected * (1 / density if alpha > WIDE else over_density(density, by_lobe)) / samples
-                for c in range(3):
-                    glossy[c] += weight * scene.radiance[e, c]
+                glossy = added(glossy, scaled(radiance, weight))
         if wants_diffuse and exact and visible > 0:
-            by_formula(scene, light, point, normal, visible / whole, diffuse)
+            diffuse = added(diffuse, by_formula(scene, light, point, normal, visible / whole))
     if alpha < 0:
-        return
+        return diffuse, glossy
     if alpha <= WIDE and len(scene.shining) > 0:
         toward, way = along_lobe(view, alpha, uniform(key, -1), uniform(key, -2), first, second, normal)
         if toward[2] > 0:
-            triangle, _, _, distance, _ = met(scene, ray, point, way)
+            triangle, _, _, distance, _ = met(scene, point, way)
             if triangle >= 0 and scene.emitter[triangle] >= 0:
-                emitter_light(scene, scene.emitter[triangle], point, way, distance, view, toward, alpha, glossy)
-    for c in range(3):
-        glossy[c] *= scattering(scene, view[2], alpha, specular[c])
+                found = emitter_light(scene, scene.emitter[triangle], point, way, distance, view, toward, alpha)
+                glossy = added(glossy, found)
+    return diffuse, tinted(scene, glossy, view[2], alpha, specular)
 
 
 @compiled
@@ -193,13 +184,14 @@ def gathered_each(
         points: a `Surface`'s arrays (`rfpp.gbuffer.surface.Points`).
         diffuse, glossy: [R, 3] to fill in.
     """
-    ray = new_ray()
     for row in range(start, stop):
         normal, view = triple(points.normal[row]), triple(points.eye[row])
         shines = max(points.specular[row, 0], points.specular[row, 1], points.specular[row, 2]) > 0
         alpha = points.alpha[row] if shines and dot(normal, view) > 0 else -1.0
         point, specular, own_key = triple(points.point[row]), triple(points.specular[row]), key_of(key, row)
-        direct_at(scene, ray, point, normal, view, alpha, specular, samples, own_key, True, diffuse[row], glossy[row])
+        found = direct_at(scene, point, normal, view, alpha, specular, samples, own_key, True)
+        for c in range(3):
+            diffuse[row, c], glossy[row, c] = found[0][c], found[1][c]
 
 
 @compiled

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float, Int
 
 from rfpp.gbuffer import ggx
 from rfpp.gbuffer.compiled import compiled, float64
-from rfpp.gbuffer.embree import Ray, closest
+from rfpp.gbuffer.embree import closest
 from rfpp.gbuffer.vectors import Triple, Vector, added, dot, normal_of, scaled, triple, unit
 
 #: Rays start and end this far from surfaces, in world units (a scene's edge is 1).
@@ -61,9 +61,9 @@ def light_of(scene: LitScene, emitter: int) -> int:
 
 
 @compiled
-def met(scene: LitScene, ray: Ray, origin: Vector, way: Vector) -> tuple[int, float, float, float, Triple]:
+def met(scene: LitScene, origin: Vector, way: Vector) -> tuple[int, float, float, float, Triple]:
     """What a ray meets: triangle (-1 for none), weights of its corners 1 and 2, distance, and the point."""
-    triangle, u, v, distance = closest(scene.address, ray, origin, way)
+    triangle, u, v, distance = closest(scene.address, origin, way)
     return triangle, u, v, distance, added(origin, scaled(way, distance if triangle >= 0 else 0.0))
 
 
@@ -91,9 +91,34 @@ def scattering(scene: LitScene, cosine: float, alpha: float, specular: float) ->
 
 
 @compiled
-def growth(scene: LitScene, cosine: float, alpha: float, specular: float) -> float:
-    """See `rfpp.gbuffer.ggx.scattering_growth`."""
-    return ggx.scattering_growth(scene.albedo, scene.mean_albedo, cosine, alpha, specular)
+def tinted(scene: LitScene, glossy: Vector, cosine: float, alpha: float, specular: Vector) -> Triple:
+    """Light of single scattering with that of multiple scattering, colour by colour."""
+    return (
+        glossy[0] * scattering(scene, cosine, alpha, specular[0]),
+        glossy[1] * scattering(scene, cosine, alpha, specular[1]),
+        glossy[2] * scattering(scene, cosine, alpha, specular[2]),
+    )
+
+
+@compiled
+def growth(scene: LitScene, cosine: float, alpha: float, specular: Vector) -> Triple:
+    """See `rfpp.gbuffer.ggx.scattering_growth`, colour by colour."""
+    return (
+        ggx.scattering_growth(scene.albedo, scene.mean_albedo, cosine, alpha, specular[0]),
+        ggx.scattering_growth(scene.albedo, scene.mean_albedo, cosine, alpha, specular[1]),
+        ggx.scattering_growth(scene.albedo, scene.mean_albedo, cosine, alpha, specular[2]),
+    )
+
+
+@compiled
+def slope_of(scene: LitScene, glossy: Vector, cosine: float, alpha: float, specular: Vector) -> Triple:
+    """Derivative of specular albedo · glossy light by that albedo, which colours multiple scattering as well."""
+    more = growth(scene, cosine, alpha, specular)
+    return (
+        glossy[0] * (1 + specular[0] * more[0]),
+        glossy[1] * (1 + specular[1] * more[1]),
+        glossy[2] * (1 + specular[2] * more[2]),
+    )
 
 
 @compiled

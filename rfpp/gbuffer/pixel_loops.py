@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, UInt8
 
 from rfpp.gbuffer import ggx
 from rfpp.gbuffer.compiled import compiled
 from rfpp.gbuffer.counted_random import Key, key_of, spread, uniform
-from rfpp.gbuffer.embree import new_ray
 from rfpp.gbuffer.ggx import lobe_and_pdf
 from rfpp.gbuffer.light_loops import along_lobe, by_formula, direct_at, emitter_light, light_sample, over_density
 from rfpp.gbuffer.lit_scene import (
@@ -19,11 +18,13 @@ from rfpp.gbuffer.lit_scene import (
     growth,
     met,
     scattering,
+    slope_of,
     surface_there,
+    tinted,
 )
 from rfpp.gbuffer.surface import Points
 from rfpp.gbuffer.traces import Trace
-from rfpp.gbuffer.vectors import dot, in_frame, tangents, triple
+from rfpp.gbuffer.vectors import BLACK, Vector, added, dot, in_frame, mean, product, scaled, tangents, triple
 
 #: What is summed of the samples of one light, for each point.
 WHOLE, VISIBLE, DIFFUSE, GLOSSY, LOBE, SQUARES, SUMS = 0, 1, 2, 5, 8, 9, 10
@@ -55,7 +56,6 @@ def light_samples(
         only: [pixels] those whose points are sampled.
         sums: [R, SUMS].
     """
-    ray = new_ray()
     for row in range(start, stop):
         pixel = points.pixel[row]
         if not only[pixel]:
@@ -69,7 +69,7 @@ def light_samples(
         for s in range(begin, end):
             # all samples of a pixel's points are spread over the light together
             u, v = spread(s * points.of_pixel + points.nth[row], shift_u, shift_v)
-            e, way, density, arriving, clear = light_sample(scene, ray, light, point, normal, u, v)
+            e, way, density, arriving, clear = light_sample(scene, light, point, normal, u, v)
             own[WHOLE] += arriving
             if not clear:
                 continue
@@ -80,7 +80,7 @@ def light_samples(
             if alpha >= 0:
                 reflected, of_lobe = lobe_and_pdf(view, toward, alpha)
                 by_lobe = reflected * over_density(density, of_lobe)
-            shine = by_lobe * (scene.radiance[e, 0] + scene.radiance[e, 1] + scene.radiance[e, 2]) / 3
+            shine = by_lobe * mean(scene.radiance[e])
             own[LOBE] += shine
             own[SQUARES] += shine * shine
             for c in range(3):
@@ -96,6 +96,8 @@ def find_edges(
     height: int,
     width: int,
     reach: int,
+    seen: UInt8[np.ndarray, " pixels"],
+    lobe: Float[np.ndarray, "pixels 3"],
     edge: Bool[np.ndarray, " pixels"],
 ) -> None:
     """Fills in which pixels want more samples of a light: those that see it whole and hidden, themselves or within so
@@ -105,18 +107,17 @@ def find_edges(
 
     Args:
         samples: of each point, in the sums.
+        seen, lobe: zeros, to count in.
         edge: [H · W] bool.
     """
-    seen, lobe = np.zeros(height * width, np.uint8), np.zeros((height * width, 3))
     for row in range(len(points.pixel)):
         own, pixel = sums[row], points.pixel[row]
         if own[WHOLE] > 0:
             seen[pixel] |= (CLEAR if own[VISIBLE] > 0 else 0) | (HIDDEN if own[VISIBLE] < own[WHOLE] else 0)
-        diffuse, specular = points.diffuse[row], triple(points.specular[row])
-        shine = (specular[0] + specular[1] + specular[2]) / 3
+        shine = mean(points.specular[row])
         lobe[pixel, 0] += own[LOBE] * shine
         lobe[pixel, 1] += own[SQUARES] * shine * shine
-        lobe[pixel, 2] += own[VISIBLE] / np.pi * (diffuse[0] + diffuse[1] + diffuse[2]) / 3
+        lobe[pixel, 2] += own[VISIBLE] / np.pi * mean(points.diffuse[row])
         if own[VISIBLE] > 0 and 0 <= points.alpha[row] <= _SHARP:
             lobe[pixel, 1] = np.inf
     count = samples * points.of_pixel
@@ -126,9 +127,9 @@ def find_edges(
             for j in range(max(y - reach, 0), min(y + reach + 1, height)):
                 for i in range(max(x - reach, 0), min(x + reach + 1, width)):
                     found |= seen[j * width + i]
-            mean, square, dull = lobe[y * width + x] / count
-            error = np.sqrt(max(square - mean * mean, 0.0) / count)
-            edge[y * width + x] = found == CLEAR | HIDDEN or error > _NOISY * (mean + dull)
+            shine, square, dull = scaled(lobe[y * width + x], 1 / count)
+            error = np.sqrt(max(square - shine * shine, 0.0) / count)
+            edge[y * width + x] = found == CLEAR | HIDDEN or error > _NOISY * (shine + dull)
 
 
 @compiled
@@ -154,17 +155,11 @@ def of_light(
         own, count = sums[row], (many if edge[points.pixel[row]] else few)
         if own[VISIBLE] <= 0:
             continue
+        exactly, (point, normal) = BLACK, (triple(points.point[row]), triple(points.normal[row]))
         if scene.exact[light]:
-            by_formula(
-                scene,
-                light,
-                triple(points.point[row]),
-                triple(points.normal[row]),
-                own[VISIBLE] / own[WHOLE],
-                diffuse[row],
-            )
+            exactly = by_formula(scene, light, point, normal, own[VISIBLE] / own[WHOLE])
         for c in range(3):
-            diffuse[row, c] += own[DIFFUSE + c] / count
+            diffuse[row, c] += exactly[c] + own[DIFFUSE + c] / count
             glossy[row, c] += own[GLOSSY + c] / count
 
 
@@ -192,8 +187,7 @@ def lobe_rays(
         light, albedo: [R, 3] to fill in: see `Reflection`.
         trace: of `light`, to fill in (`rfpp.gbuffer.traces.Trace`).
     """
-    ray, traced = new_ray(), trace.triangle.shape[1] > 0
-    diffuse_there, glossy_there = np.zeros(3), np.zeros(3)
+    traced = trace.triangle.shape[1] > 0
     for row in range(start, stop):
         alpha, specular = points.alpha[row], triple(points.specular[row])
         if alpha < 0:
@@ -201,59 +195,59 @@ def lobe_rays(
         point, normal = triple(points.point[row]), triple(points.normal[row])
         first, second = tangents(normal)
         view = in_frame(points.eye[row], first, second, normal)
-        own_diffuse = (points.diffuse[row, 0] + points.diffuse[row, 1] + points.diffuse[row, 2]) / 3
-        own_specular = (specular[0] + specular[1] + specular[2]) / 3
+        own_diffuse, own_specular = mean(points.diffuse[row]), mean(specular)
         own_key = key_of(key, points.pixel[row])
         shift_u, shift_v = uniform(own_key, 0), uniform(own_key, 1)
         count = _rays(samples, alpha, own_specular)
-        emitted = np.zeros(3)
+        emitted, reflection, reflectance = BLACK, BLACK, BLACK
         for s in range(count):
             number = s * points.of_pixel + points.nth[row]
             u, v = spread(number, shift_u, shift_v)
             toward, way = along_lobe(view, alpha, u, v, first, second, normal)
             if toward[2] <= 0:
                 continue
-            triangle, a, b, distance, there = met(scene, ray, point, way)
+            triangle, a, b, distance, there = met(scene, point, way)
             if triangle < 0:
                 continue
             if scene.emitter[triangle] >= 0:
-                emitter_light(scene, scene.emitter[triangle], point, way, distance, view, toward, alpha, emitted)
+                found = emitter_light(scene, scene.emitter[triangle], point, way, distance, view, toward, alpha)
+                emitted = added(emitted, found)
                 continue
             if not reflects or distance <= 0:
                 continue
             reflected, by_lobe = lobe_and_pdf(view, toward, alpha)
+            weight = reflected / by_lobe
             seen_from, its_normal, back = surface_there(scene, triangle, a, b, way, there)
-            material = scene.material[triangle]
+            its_diffuse, its_specular = triple(scene.material[triangle]), triple(scene.material[triangle, 3:6])
+            cosine = dot(its_normal, back)
+            shines = max(its_specular[0], its_specular[1], its_specular[2]) > 0 and cosine > 0
             density = density_of_lobes(own_diffuse, own_specular, toward[2], by_lobe)
-            shines = max(material[3], material[4], material[5]) > 0 and dot(its_normal, back) > 0
             its_alpha = blurred(alpha_of(scene, triangle), density) if shines else -1.0
-            of_ray, its_specular = key_of(own_key, 2 + number), triple(material[3:6])
-            direct_at(
-                scene, ray, seen_from, its_normal, back, its_alpha, its_specular, 1, of_ray, True, diffuse_there,
-                glossy_there,
-            )  # fmt: skip
-            for c in range(3):
-                light[row, c] += (
-                    reflected / by_lobe * (material[c] * diffuse_there[c] + material[3 + c] * glossy_there[c])
-                )
-                albedo[row, c] += reflected / by_lobe * (material[c] + material[3 + c])
+            of_ray = key_of(own_key, 2 + number)
+            dull, glossy_there = direct_at(
+                scene, seen_from, its_normal, back, its_alpha, its_specular, 1, of_ray, True
+            )
+            leaving = added(product(its_diffuse, dull), product(its_specular, glossy_there))
+            reflection = added(reflection, scaled(leaving, weight))
+            reflectance = added(reflectance, scaled(added(its_diffuse, its_specular), weight))
             if not traced:
                 continue
             trace.triangle[row, s] = triangle
-            cosine = dot(its_normal, back)
+            slope = slope_of(scene, glossy_there, cosine, its_alpha, its_specular) if shines else glossy_there
             for c in range(3):
-                more = growth(scene, cosine, its_alpha, its_specular[c]) if shines else 0.0
-                trace.diffuse[row, s, c] = reflected / by_lobe * diffuse_there[c]
-                trace.specular[row, s, c] = reflected / by_lobe * glossy_there[c] * (1 + its_specular[c] * more)
+                trace.diffuse[row, s, c], trace.specular[row, s, c] = weight * dull[c], weight * slope[c]
+        emitted = tinted(scene, scaled(emitted, 1 / count), view[2], alpha, specular)
+        more = growth(scene, view[2], alpha, specular) if traced else BLACK
         for c in range(3):
             factor = scattering(scene, view[2], alpha, specular[c])
-            glossy[row, c] = (glossy[row, c] + emitted[c] / count) * factor
-            light[row, c] *= factor / count
-            albedo[row, c] *= factor / count
-            if traced:
-                trace.growth[row, c] = growth(scene, view[2], alpha, specular[c])
-                trace.diffuse[row, :, c] *= factor / count
-                trace.specular[row, :, c] *= factor / count
+            glossy[row, c] = glossy[row, c] * factor + emitted[c]
+            light[row, c], albedo[row, c] = reflection[c] * factor / count, reflectance[c] * factor / count
+            if not traced:
+                continue
+            trace.growth[row, c] = more[c]
+            for s in range(count):
+                trace.diffuse[row, s, c] *= factor / count
+                trace.specular[row, s, c] *= factor / count
 
 
 @compiled

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from rfpp.gbuffer.compiled import compiled
-from rfpp.gbuffer.embree import Structure, blocked, closest, embree, new_ray
+from rfpp.gbuffer.embree import Structure, blocked, closest, embree
 from rfpp.gbuffer.threads import over_rows
 
 
@@ -84,9 +84,8 @@ def _cast(
     barycentric: Float[np.ndarray, "r 3"],
     distance: Float[np.ndarray, " r"],
 ) -> None:
-    ray = new_ray()
     for row in range(first, last):
-        hit, u, v, reach = closest(address, ray, origins[row], ways[row])
+        hit, u, v, reach = closest(address, origins[row], ways[row])
         triangle[row], distance[row] = hit, reach
         barycentric[row, 0], barycentric[row, 1], barycentric[row, 2] = (1 - u - v if hit >= 0 else 0.0), u, v
 
@@ -101,6 +100,5 @@ def _occluded(
     reach: Float[np.ndarray, " r"],
     found: Bool[np.ndarray, " r"],
 ) -> None:
-    ray = new_ray()
     for row in range(first, last):
-        found[row] = blocked(address, ray, origins[row], ways[row], reach[row])
+        found[row] = blocked(address, origins[row], ways[row], reach[row])

@@ -10,6 +10,8 @@ from rfpp.gbuffer.compiled import compiled, float64
 #: A vector in registers; and any three numbers, of an array too.
 Triple = tuple[float, float, float]
 Vector = Triple | np.ndarray
+#: No light.
+BLACK = (0.0, 0.0, 0.0)
 #: Multiples of it, modulo 1, spread evenly over the unit interval however many they are.
 GOLDEN = 0.6180339887498949
 
@@ -30,6 +32,18 @@ def added(a: Vector, b: Vector) -> Triple:
 def scaled(a: Vector, factor: float) -> Triple:
     """A multiple."""
     return a[0] * factor, a[1] * factor, a[2] * factor
+
+
+@compiled
+def product(a: Vector, b: Vector) -> Triple:
+    """Colour by colour."""
+    return a[0] * b[0], a[1] * b[1], a[2] * b[2]
+
+
+@compiled
+def mean(a: Vector) -> float:
+    """Of three colours."""
+    return (a[0] + a[1] + a[2]) / 3
 
 
 @compiled
