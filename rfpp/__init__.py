@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 # loaded.
 if "OMP_WAIT_POLICY" not in os.environ:
     os.environ.setdefault("GOMP_SPINCOUNT", "3000")
-# So do threads of OpenBLAS, which NumPy uses, 2^n cycles long after each product: by default as long as a view's rays take.
+# So do threads of OpenBLAS, which NumPy uses, for 2^n cycles after each product: by default, as long as a view takes.
 os.environ.setdefault("OPENBLAS_THREAD_TIMEOUT", "16")
 
 __all__ = ["DifferentiableRenderer", "Renderer", "Scene", "load_scene", "save_scene"]

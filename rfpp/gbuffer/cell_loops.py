@@ -194,7 +194,7 @@ def cells_seen(
         points: `rfpp.gbuffer.surface.Points`.
         point_of: [pixels, points of each] rows of the points, -1 for none.
         width: of the image in pixels.
-        light: [pixels, 3] highlights.
+        light: [pixels, 3] of the emitters, that surfaces send to the diffuse rays.
         trace: of `light`, to fill in (`rfpp.gbuffer.traces.Trace`).
     """
     rays, traced = diffuse.shape[1], trace.triangle.shape[1] > 0
@@ -221,7 +221,7 @@ def cells_seen(
             by_lobe = lobe_and_pdf(view, toward, alpha)[1] if alpha >= 0 else 0.0
             density = density_of_lobes(mean_diffuse, mean_specular, toward[2], by_lobe)
             way = in_world(toward, first, second, normal)
-            end = followed(scene, table, point, way, density, key_of(own_key, 2 * s), False, True)
+            end = followed(scene, table, point, way, density, key_of(own_key, 2 * s), True, True)
             diffuse[pixel, s], diffuse_on[pixel, s] = end.cell, end.onward
             for c in range(3):
                 light[pixel, c] += end.light[c] / rays

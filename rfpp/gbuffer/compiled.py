@@ -28,7 +28,7 @@ def compiled(function: Callable[P, R]) -> Callable[P, R]:
     NumPy. It can make no arrays: Numba then counts no references either, which took more than half of the time of loops
     that pass a scene's arrays from function to function, and more with two threads, which wait for each other's counts.
     """
-    how = {"cache": True, "nogil": True, "error_model": "numpy", "_nrt": False}
+    how: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy", "_nrt": False}
     faster: Any = numba.njit(**how)(inspect.unwrap(function))
     if hasattr(faster, "_cache"):  # not where NUMBA_DISABLE_JIT leaves functions as they are
         kept = faster._cache._cache_file  # Numba looks for changes in a function's own file, not in what it calls

@@ -65,7 +65,8 @@ def embree() -> ctypes.CDLL:
 
 
 # Numba's stubs know what declares a function, not that compiled code calls it.
-_RAY = types.CPointer(types.float32)
+_pointer_to = cast(Callable[[object], Any], types.CPointer)
+_RAY = _pointer_to(types.float32)
 _Query = Callable[[int, np.ndarray, int], None]
 _intersect = cast(_Query, types.ExternalFunction("rtcIntersect1", types.void(types.uintp, _RAY, types.uintp)))
 _occluded = cast(_Query, types.ExternalFunction("rtcOccluded1", types.void(types.uintp, _RAY, types.uintp)))
@@ -110,26 +111,29 @@ class Structure:
 _RAY_NUMBERS = 32
 
 
-@intrinsic
-def _new_ray(typing: Any) -> tuple[Any, Callable[..., Any]]:
+def _on_stack(typing: Any) -> tuple[Any, Callable[..., Any]]:
     """Memory of a ray, in the frame of the function that calls: no other thread sees it, and nobody has to free it."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        memory = cgutils.alloca_once(builder, ir.ArrayType(ir.FloatType(), _RAY_NUMBERS))
+        memory = cast(Any, cgutils).alloca_once(builder, ir.ArrayType(ir.FloatType(), _RAY_NUMBERS))
         memory.align = 16  # as Embree asks for
         return builder.bitcast(memory, ir.FloatType().as_pointer())
 
     return _RAY(), generate
 
 
-@intrinsic
-def _integers(typing: Any, ray: Any) -> tuple[Any, Callable[..., Any]]:
+def _as_integers(typing: Any, ray: Any) -> tuple[Any, Callable[..., Any]]:
     """The same memory as integers of 32 bits."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         return builder.bitcast(arguments[0], ir.IntType(32).as_pointer())
 
-    return types.CPointer(types.int32)(_RAY), generate
+    return _pointer_to(types.int32)(_RAY), generate
+
+
+#: What compiled code calls: a ray, and its numbers as integers.
+_new_ray = cast(Callable[[], np.ndarray], intrinsic(_on_stack))
+_integers = cast(Callable[[np.ndarray], np.ndarray], intrinsic(_as_integers))
 
 
 @compiled

@@ -23,16 +23,16 @@ DIRECT_CHANNELS = ("direct_diffuse", "direct_glossy")
 REFLECTION_CHANNELS = ("reflected_light", "reflected_albedo")
 #: Channels of the cells that pixels see, in the units of `SeenCells`.
 CELL_CHANNELS = ("diffuse_cells", "glossy_cells", "diffuse_onward", "glossy_onward")
-#: What the rays of the diffuse lobe see of the emitters in shiny surfaces, in the units of `SeenCells`.
-HIGHLIGHTS = "highlights"
+#: What surfaces send of the emitters' light to the rays of the diffuse lobe, in the units of `SeenCells`.
+BOUNCED_LIGHT = "bounced_light"
 #: Channels of the light that pixels gather from cells, by lobe; networks find it themselves.
 GATHERED_CHANNELS = ("gathered_diffuse", "gathered_glossy")
 #: Rays to cells from each pixel and lobe.
 CELL_RAYS = 4
 #: Channels that hold light.
-LIGHT_CHANNELS = (*DIRECT_CHANNELS, "reflected_light", HIGHLIGHTS)
+LIGHT_CHANNELS = (*DIRECT_CHANNELS, "reflected_light", BOUNCED_LIGHT)
 #: Channels whose three numbers are red, green and blue.
-COLOUR_CHANNELS = ("albedo", "specular", *DIRECT_CHANNELS, *REFLECTION_CHANNELS, HIGHLIGHTS)
+COLOUR_CHANNELS = ("albedo", "specular", *DIRECT_CHANNELS, *REFLECTION_CHANNELS, BOUNCED_LIGHT)
 #: The geometry-buffer channels a network may ask for, and how many numbers each has.
 CHANNELS: dict[str, int] = {
     "normal": 3,
@@ -84,15 +84,16 @@ class SeenCells:
         diffuse: [H, W, S] int32: rays as dense as diffuse light arrives.
         glossy: [H, W, S] int32: rays as the glossy lobe sends them.
         diffuse_onward, glossy_onward: [H, W, S] int32: what the glossy lobe throws on from where those end.
-        highlights: [H, W, 3] float32 irradiance / π: the emitters' light that glossy lobes send to the diffuse rays.
-        trace: where the highlights come from, of the pixels row by row, if it was asked for.
+        bounced: [H, W, 3] float32 irradiance / π: the emitters' light that surfaces send to the diffuse rays. Where one
+            ends it is light or dark; a cell knows of a shadow only how much of it lies there.
+        trace: where that light comes from, of the pixels row by row, if it was asked for.
     """
 
     diffuse: Int[np.ndarray, "h w s"]
     glossy: Int[np.ndarray, "h w s"]
     diffuse_onward: Int[np.ndarray, "h w s"]
     glossy_onward: Int[np.ndarray, "h w s"]
-    highlights: Float[np.ndarray, "h w 3"]
+    bounced: Float[np.ndarray, "h w 3"]
     trace: Trace | None = None
 
     @property
@@ -215,10 +216,10 @@ def channel(
         if gbuffer.reflection is None:
             raise ValueError(f"'{name}' was asked of a G-buffer without reflection: see with_known_light")
         return gbuffer.reflection.light if name == "reflected_light" else gbuffer.reflection.albedo
-    if name in (*CELL_CHANNELS, HIGHLIGHTS):
+    if name in (*CELL_CHANNELS, BOUNCED_LIGHT):
         if gbuffer.cells is None:
             raise ValueError(f"'{name}' was asked of a G-buffer without cells: see with_cells")
-        return gbuffer.cells.highlights if name == HIGHLIGHTS else gbuffer.cells.rays[name].astype(np.float32)
+        return gbuffer.cells.bounced if name == BOUNCED_LIGHT else gbuffer.cells.rays[name].astype(np.float32)
     raise UserError(f"G-buffer channel '{name}' does not exist: choose from {', '.join(CHANNELS)}")
 
 

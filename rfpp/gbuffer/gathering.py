@@ -37,7 +37,7 @@ def with_cells(
         points: where the G-buffer has so many points along each side of a pixel, its rays start from them in turn, and
             each of them says where all went.
         seed: of the rays' displacement from pixel to pixel; the same seed gives the same numbers.
-        traced: whether it is wanted where highlights come from.
+        traced: whether it is wanted where the light of the first bounce comes from.
     """
     height, width = (side // points for side in gbuffer.depth.shape)
     surface = Surface.seen(gbuffer, sampler.triangles, c2w, fov)
@@ -45,10 +45,10 @@ def with_cells(
     point_of = np.full((height * width, of_image.of_pixel), -1)
     point_of[of_image.pixel, of_image.nth] = np.arange(len(surface))
     seen = np.full((4, height * width, CELL_RAYS), NOWHERE, np.int32)
-    highlights = np.zeros((height * width, 3), np.float32)
+    bounced = np.zeros((height * width, 3), np.float32)
     key = int(np.random.default_rng(seed).integers(1 << 62))
     trace = Trace.of(height * width, CELL_RAYS if traced else 0)
-    image = (of_image, point_of, width, key, *seen, highlights, trace)
+    image = (of_image, point_of, width, key, *seen, bounced, trace)
     over_rows(height * width, cells_seen, sampler.scene, cells.table, *image)
 
     def at_points(of_pixels: np.ndarray) -> np.ndarray:
@@ -56,4 +56,4 @@ def with_cells(
 
     diffuse, glossy, diffuse_onward, glossy_onward = map(at_points, seen)
     rays = (diffuse, glossy, diffuse_onward, glossy_onward)
-    return replace(gbuffer, cells=SeenCells(*rays, at_points(highlights), trace if traced else None))
+    return replace(gbuffer, cells=SeenCells(*rays, at_points(bounced), trace if traced else None))

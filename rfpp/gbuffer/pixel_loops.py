@@ -24,7 +24,7 @@ from rfpp.gbuffer.lit_scene import (
 )
 from rfpp.gbuffer.surface import Points
 from rfpp.gbuffer.traces import Trace
-from rfpp.gbuffer.vectors import BLACK, Vector, added, dot, in_frame, mean, product, scaled, tangents, triple
+from rfpp.gbuffer.vectors import BLACK, added, dot, in_frame, mean, product, scaled, tangents, triple
 
 #: What is summed of the samples of one light, for each point.
 WHOLE, VISIBLE, DIFFUSE, GLOSSY, LOBE, SQUARES, SUMS = 0, 1, 2, 5, 8, 9, 10
@@ -224,9 +224,7 @@ def lobe_rays(
             density = density_of_lobes(own_diffuse, own_specular, toward[2], by_lobe)
             its_alpha = blurred(alpha_of(scene, triangle), density) if shines else -1.0
             of_ray = key_of(own_key, 2 + number)
-            dull, glossy_there = direct_at(
-                scene, seen_from, its_normal, back, its_alpha, its_specular, 1, of_ray, True
-            )
+            dull, glossy_there = direct_at(scene, seen_from, its_normal, back, its_alpha, its_specular, 1, of_ray, True)
             leaving = added(product(its_diffuse, dull), product(its_specular, glossy_there))
             reflection = added(reflection, scaled(leaving, weight))
             reflectance = added(reflectance, scaled(added(its_diffuse, its_specular), weight))

@@ -13,10 +13,10 @@ from rfpp.gbuffer.cell_finding import CellSources, find_cells_and_sources
 from rfpp.gbuffer.cell_table import NOWHERE
 from rfpp.gbuffer.cells import CellMap, Cells
 from rfpp.gbuffer.first_hit import (
+    BOUNCED_LIGHT,
     CELL_CHANNELS,
     CHANNELS,
     DIRECT_CHANNELS,
-    HIGHLIGHTS,
     REFLECTION_CHANNELS,
     GBuffer,
     camera_caster,
@@ -112,7 +112,7 @@ class GBufferSource:
                 reflects = self._wants(REFLECTION_CHANNELS)
                 how = {"points": points, "reflects": reflects, "traced": traced}
                 gbuffer = with_known_light(gbuffer, *seen, lights(), light_samples, **how)
-            if self._wants((*CELL_CHANNELS, HIGHLIGHTS)):
+            if self._wants((*CELL_CHANNELS, BOUNCED_LIGHT)):
                 cells = self._cells(triangles, geometry, light)[1]
                 gbuffer = with_cells(gbuffer, *seen, lights(), cells, points, traced=traced)
             return gbuffer
@@ -183,12 +183,12 @@ class GBufferSource:
 
 
 def direct_alone(gbuffer: Float[np.ndarray, "c h w"], names: Sequence[str]) -> Float[np.ndarray, "c h w"]:
-    """Channels without what surfaces send to each other: no reflections, no highlights, and rays that meet no cell.
+    """Channels without what surfaces send to each other: no reflections, nothing bounced, and rays that meet no cell.
 
     Args:
         names: of the channels, in order.
     """
-    nothing = dict.fromkeys(CELL_CHANNELS, NOWHERE) | dict.fromkeys((*REFLECTION_CHANNELS, HIGHLIGHTS), 0)
+    nothing = dict.fromkeys(CELL_CHANNELS, NOWHERE) | dict.fromkeys((*REFLECTION_CHANNELS, BOUNCED_LIGHT), 0)
     alone, row = gbuffer.copy(), 0
     for name in names:
         rows = slice(row, row := row + CHANNELS[name])

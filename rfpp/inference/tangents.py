@@ -16,7 +16,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from rfpp.gbuffer.first_hit import CHANNELS, HIGHLIGHTS, LIGHT_CHANNELS, GBuffer, channel, stack_channels
+from rfpp.gbuffer.first_hit import BOUNCED_LIGHT, CHANNELS, LIGHT_CHANNELS, GBuffer, channel, stack_channels
 from rfpp.gbuffer.traces import Trace
 from rfpp.inference.gbuffers import GBufferSource
 from rfpp.inference.materials import MaterialTensors
@@ -102,7 +102,7 @@ class KnownLight:
             points = round((hit.numel() / len(by_albedo)) ** 0.5)
             of_pixels = by_albedo.view(hit.shape[0] // points, hit.shape[1] // points, 3).permute(2, 0, 1)
             spread = of_pixels.repeat_interleave(points, 1).repeat_interleave(points, 2)
-            changed[HIGHLIGHTS] = values[HIGHLIGHTS] + spread
+            changed[BOUNCED_LIGHT] = values[BOUNCED_LIGHT] + spread
         for light, amount in self.lights.items():
             alone = self.cast(self.white, light, False)(view)
             for name in filter(LIGHT_CHANNELS.__contains__, names):

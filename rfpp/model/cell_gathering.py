@@ -8,13 +8,13 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
-from rfpp.gbuffer.first_hit import CELL_CHANNELS, CHANNELS, HIGHLIGHTS
+from rfpp.gbuffer.first_hit import BOUNCED_LIGHT, CELL_CHANNELS, CHANNELS
 from rfpp.model.bounces import of_rays
 from rfpp.model.joint_window import JointWindow
 from rfpp.model.lit_cells import LitCells
 
 #: What is gathered of, beside the channels of a window.
-GATHERING_CHANNELS = (*CELL_CHANNELS, HIGHLIGHTS)
+GATHERING_CHANNELS = (*CELL_CHANNELS, BOUNCED_LIGHT)
 
 
 class EvenGathering:
@@ -45,7 +45,7 @@ class EvenGathering:
             shared: glossy light that pixels know, to be shared in the same way.
         """
         lobes, guides = lobes_of(gbuffer, cells, self.window)
-        gathered = [lobe.light.mean(1).permute(0, 3, 1, 2) + lobe.highlights for lobe in lobes]
+        gathered = [lobe.light.mean(1).permute(0, 3, 1, 2) + lobe.known for lobe in lobes]
         gathered[1] = gathered[1] + shared
         return self.window(torch.cat(gathered, dim=1), guides)
 
@@ -90,7 +90,7 @@ class CellGathering(nn.Module):
         lobes, guides = lobes_of(gbuffer, cells, self.window)
         keys = nn.functional.linear(cells.features.float(), self.keys.weight.float()).chunk(2, dim=-1)
         of_lobes = zip(maps.chunk(2, dim=1), lobes, keys, strict=True)
-        gathered = [self._gathered(m, key, lobe) + lobe.highlights for m, lobe, key in of_lobes]
+        gathered = [self._gathered(m, key, lobe) + lobe.known for m, lobe, key in of_lobes]
         gathered[1] = gathered[1] + shared
         return self.window(torch.cat(gathered, dim=1), guides)
 
@@ -109,13 +109,13 @@ class Lobe:
 
     Attributes:
         seen: rows of the cells that rays end in; C for none.
-        light: [N, S, H, W, 3] radiance that each ray brings.
-        highlights: [N, 3, H, W] that all of them bring of the emitters in shiny surfaces.
+        light: [N, S, H, W, 3] radiance that each ray brings, of light that has bounced before.
+        known: [N, 3, H, W] that all of them bring of the emitters' light, where they end.
     """
 
     seen: Int[Tensor, "n rays h w"]
     light: Float[Tensor, "n rays h w 3"]
-    highlights: Float[Tensor, "n 3 h w"]
+    known: Float[Tensor, "n 3 h w"]
 
 
 def lobes_of(
@@ -123,17 +123,19 @@ def lobes_of(
 ) -> tuple[tuple[Lobe, Lobe], Float[Tensor, "n guides h w"]]:
     """The diffuse and the glossy lobe, and guides of the window.
 
-    Of what the glossy lobe sees, the first bounce and its highlights are in `reflected_light`.
+    The emitters' light is known where rays end, better than as the mean over a cell: of the diffuse lobe it is
+    `bounced_light`, of the glossy lobe it is in `reflected_light`.
 
     Args:
         gbuffer: `GATHERING_CHANNELS` and the window's.
     """
     sizes = [CHANNELS[name] for name in GATHERING_CHANNELS]
-    *rays, highlights, guides = gbuffer.split([*sizes, window.size], dim=1)
+    *rays, bounced, guides = gbuffer.split([*sizes, window.size], dim=1)
     diffuse, glossy, diffuse_onward, glossy_onward = (cells.rows(seen) for seen in rays)
+    further = cells.beyond_first()
     return (
-        Lobe(diffuse, _brought(cells, diffuse, diffuse_onward), highlights),
-        Lobe(glossy, _brought(cells.beyond_first(), glossy, glossy_onward), torch.zeros_like(highlights)),
+        Lobe(diffuse, _brought(further, diffuse, diffuse_onward), bounced),
+        Lobe(glossy, _brought(further, glossy, glossy_onward), torch.zeros_like(bounced)),
     ), guides
 
 

@@ -63,7 +63,7 @@ def _light(gbuffer: GBuffer, name: str) -> Float[np.ndarray, "h w 3"]:
         "direct_diffuse": gbuffer.light.diffuse,
         "direct_glossy": gbuffer.light.glossy,
         "reflected_light": gbuffer.reflection.light,
-        "highlights": gbuffer.cells.highlights,
+        "bounced_light": gbuffer.cells.bounced,
     }
     return of[name]
 

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from rfpp.errors import ShardError
-from rfpp.gbuffer.first_hit import HIGHLIGHTS, DirectLight, GBuffer
+from rfpp.gbuffer.first_hit import BOUNCED_LIGHT, DirectLight, GBuffer
 from rfpp.scene.triangles import EMISSION
 from rfpp.shards.sample import SceneSample
 
@@ -67,5 +67,5 @@ def _relit(gbuffer: GBuffer, known: dict[str, Float[np.ndarray, "h w 3"]]) -> GB
         gbuffer,
         light=light and DirectLight(known["direct_diffuse"], known["direct_glossy"]),
         reflection=reflection and replace(reflection, light=known["reflected_light"]),
-        cells=cells and replace(cells, highlights=known[HIGHLIGHTS]),
+        cells=cells and replace(cells, bounced=known[BOUNCED_LIGHT]),
     )

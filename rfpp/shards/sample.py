@@ -19,11 +19,11 @@ from safetensors.numpy import save as save_arrays
 from rfpp.errors import ShardError
 from rfpp.gbuffer.cells import Cells, parts
 from rfpp.gbuffer.first_hit import (
+    BOUNCED_LIGHT,
     CELL_CHANNELS,
     CELL_RAYS,
     CHANNELS,
     DIRECT_CHANNELS,
-    HIGHLIGHTS,
     REFLECTION_CHANNELS,
     DirectLight,
     GBuffer,
@@ -42,7 +42,7 @@ from rfpp.shards.whole import (
 )
 
 #: Raised whenever a member, a dtype or a meaning changes; data of another version is refused, never guessed at.
-SCHEMA_VERSION = 7
+SCHEMA_VERSION = 8
 
 #: From the sample's number of views to the numbers of those wanted.
 ViewChoice = Callable[[int], Iterable[int]]
@@ -106,7 +106,7 @@ def encode(sample: SceneSample) -> dict[str, bytes]:
     for view, (image, gbuffer) in enumerate(zip(sample.images, sample.gbuffers, strict=True)):
         light = {"direct_diffuse": gbuffer.light.diffuse, "direct_glossy": gbuffer.light.glossy}
         reflection = {"reflected_light": gbuffer.reflection.light, "reflected_albedo": gbuffer.reflection.albedo}
-        for name, radiance in {"RGB": image, **light, **reflection, HIGHLIGHTS: gbuffer.cells.highlights}.items():
+        for name, radiance in {"RGB": image, **light, **reflection, BOUNCED_LIGHT: gbuffer.cells.bounced}.items():
             require_half_range(radiance, f"{sample.key}: view {view}: {name}")
         surface = {
             "normal": gbuffer.normal.astype(np.float16),
@@ -115,7 +115,7 @@ def encode(sample: SceneSample) -> dict[str, bytes]:
         }
         rays = {f"{name}{ray}": of[..., ray] for name, of in gbuffer.cells.rays.items() for ray in range(CELL_RAYS)}
         seen = {name: (cell + 1).astype(np.uint32) for name, cell in rays.items()}
-        members[_CELLS.format(view)] = encode_exr(seen | {HIGHLIGHTS: gbuffer.cells.highlights.astype(np.float16)})
+        members[_CELLS.format(view)] = encode_exr(seen | {BOUNCED_LIGHT: gbuffer.cells.bounced.astype(np.float16)})
         members[_IMAGE.format(view)] = encode_exr({"RGB": image.astype(np.float16)})
         members[_SURFACE.format(view)] = encode_exr(surface)
         for member, layers in ((_LIGHT, light), (_REFLECTION, reflection)):
@@ -207,14 +207,14 @@ def _gbuffer(layers: Callable[[str], Mapping[str, np.ndarray]], channels: Collec
         depth=surface["depth"],
         light=part(DirectLight, _LIGHT, DIRECT_CHANNELS),
         reflection=part(Reflection, _REFLECTION, REFLECTION_CHANNELS),
-        cells=None if {*CELL_CHANNELS, HIGHLIGHTS}.isdisjoint(channels) else _seen_cells(layers(_CELLS)),
+        cells=None if {*CELL_CHANNELS, BOUNCED_LIGHT}.isdisjoint(channels) else _seen_cells(layers(_CELLS)),
     )
 
 
 def _seen_cells(layers: Mapping[str, np.ndarray]) -> SeenCells:
     """From the layers of the rays, by their names."""
     rays = (np.stack([layers[f"{name}{ray}"] for ray in range(CELL_RAYS)], axis=-1) for name in CELL_CHANNELS)
-    return SeenCells(*(cells.astype(np.int32) - 1 for cells in rays), layers[HIGHLIGHTS].astype(np.float32))
+    return SeenCells(*(cells.astype(np.int32) - 1 for cells in rays), layers[BOUNCED_LIGHT].astype(np.float32))
 
 
 def _stored(name: str, of_cells: np.ndarray) -> np.ndarray:

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from known_scenes import box, look_at, material, pack, sphere, square
+from slow_light import direct_light
 
 from rfpp.gbuffer.cell_finding import find_cells
 from rfpp.gbuffer.cell_table import NOWHERE
@@ -10,6 +11,8 @@ from rfpp.gbuffer.first_hit import CELL_RAYS, SeenCells, first_hit
 from rfpp.gbuffer.gathering import with_cells
 from rfpp.gbuffer.light_sampler import LightSampler
 from rfpp.gbuffer.ray_ends import follow_rays
+from rfpp.gbuffer.raycast import RayCaster
+from rfpp.gbuffer.surface import Surface
 from rfpp.scene.triangles import SceneTriangles
 
 FOV, SIDE = 40.0, 32
@@ -58,7 +61,7 @@ def test_points_of_a_pixel_share_its_rays():
     whole, owner = seen_by(scene, camera)
     finer, _ = seen_by(scene, camera, points=2)
     assert finer.diffuse.shape == (2 * SIDE, 2 * SIDE, CELL_RAYS)
-    for lobe in (*finer.rays.values(), finer.highlights):
+    for lobe in (*finer.rays.values(), finer.bounced):
         np.testing.assert_array_equal(lobe[::2, ::2], lobe[1::2, 1::2])
     shares = [(owner[cells.diffuse] == 1).mean() for cells in (whole, finer)]
     assert shares[0] == pytest.approx(shares[1], rel=0.15) and shares[0] > 0.01
@@ -89,11 +92,44 @@ def test_what_a_shiny_surface_throws_on_is_seen_beyond_it():
         assert (seen.diffuse_onward[~on_it] == NOWHERE).all()
 
 
-def test_highlights_are_linear_in_light_and_only_on_what_shines():
+def test_bounced_light_is_linear_in_light_and_of_both_lobes():
     camera = look_at((0, 0, 0.3), (0, 0, 0), (0, 1, 0))
-    once, twice, dull = (seen_by(above(*of), camera)[0].highlights for of in ((0.8,), (0.8, 400.0), (0.0,)))
-    assert once.max() > 0 and not dull.any()
+    once, twice, black = (seen_by(above(*of), camera)[0].bounced for of in ((0.8,), (0.8, 400.0), (0.0,)))
+    assert once.max() > 0 and not black.any()
     np.testing.assert_allclose(twice, 2 * once, rtol=1e-5)
+    assert seen_by(lit_wall(), camera)[0].bounced.max() > 0
+
+
+def lit_wall() -> SceneTriangles:
+    """A floor, and a wall beside it, whose foot is in the shadow of a shelf."""
+    wall = np.array([[[0.5, -0.5, 0], [0.5, 0.5, 1], [0.5, 0.5, 0]], [[0.5, -0.5, 0], [0.5, -0.5, 1], [0.5, 0.5, 1]]])
+    return pack(
+        (square(1.0), material(0.5)),
+        (wall, material(0.8)),
+        (square(0.5, z=0.45) + np.array([0.25, 0, 0]), material(0.0)),
+        (square(0.3, z=1.5)[:, ::-1], material(emission=30.0)),
+    )
+
+
+def test_bounced_light_knows_shadows_within_a_cell():
+    """Irradiance of the floor, from what each point of the wall sends on of the lamp's light."""
+    scene, camera, rng = lit_wall(), look_at((-1.2, 0, 0.4), (0.1, 0, 0)), np.random.default_rng(0)
+    gbuffer = first_hit(scene, camera, FOV, SIDE, SIDE)
+    of_floor = (gbuffer.triangle >= 0) & (gbuffer.triangle < 2)
+    seen = np.mean([seen_by(scene, camera, seed=seed)[0].bounced[of_floor].mean() for seed in range(30)])
+
+    along = rng.random((20000, 2))
+    place = np.stack([np.full(len(along), 0.5), along[:, 0] - 0.5, along[:, 1]], axis=-1)
+    facing = np.tile([-1.0, 0, 0], (len(along), 1))
+    wall = Surface.at(scene, np.full(len(along), 2), place, facing, place + facing)
+    leaving, arriving = 0.8 * direct_light(scene, wall, 8, rng)[0][:, 0], []
+    for point in Surface.seen(gbuffer, scene, camera, FOV).point[of_floor[gbuffer.hit]][::7]:
+        way = wall.point - point
+        distance = np.linalg.norm(way, axis=-1)
+        way /= distance[:, None]
+        clear = ~RayCaster(scene.positions).occluded(np.broadcast_to(point, way.shape), way, distance - 2e-4)
+        arriving.append(np.mean(leaving * clear * way[:, 2] * way[:, 0] / (np.pi * distance**2)))
+    assert seen == pytest.approx(np.mean(arriving), rel=0.05)
 
 
 def test_surfaces_that_touch_are_not_seen_from_where_they_touch():

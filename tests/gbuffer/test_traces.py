@@ -47,7 +47,8 @@ def test_reflected_light_changes_as_its_trace_says(columns):
     np.testing.assert_allclose(slope.sum(1)[of_floor], found[of_floor], rtol=5e-3, atol=2e-3 * found.max())
 
 
-def test_highlights_of_pixels_and_cells_change_as_their_traces_say():
+@pytest.mark.parametrize("columns", [DIFFUSE, SPECULAR], ids=["diffuse", "specular"])
+def test_bounced_light_and_highlights_change_as_their_traces_say(columns):
     def of(scene: SceneTriangles):
         sampler = LightSampler(scene)
         cells, places, sources = find_cells_and_sources(sampler)
@@ -55,17 +56,21 @@ def test_highlights_of_pixels_and_cells_change_as_their_traces_say():
         return cells, with_cells(seen, CAMERA, FOV, sampler, places, POINTS, traced=True).cells, sources
 
     (cells, pixels, sources), (more, of_more, _), (less, of_less, _) = (
-        of(mirror_and_box(change, SPECULAR)) for change in (0.0, 0.02, -0.02)
+        of(mirror_and_box(change, columns)) for change in (0.0, 0.02, -0.02)
     )
     # of pixels of the floor: how much those of the box blur what they see depends on their own material
     triangle = first_hit(mirror_and_box(), CAMERA, FOV, SIDE, SIDE).triangle
     of_floor = (triangle >= 0) & (triangle < FLOOR.stop)
     of_floor = of_floor.reshape(SIDE // POINTS, POINTS, SIDE // POINTS, POINTS).all((1, 3)).reshape(-1)
-    at_pixels = (of_more.highlights - of_less.highlights)[::POINTS, ::POINTS].reshape(-1, 3)
+    at_pixels = (of_more.bounced - of_less.bounced)[::POINTS, ::POINTS].reshape(-1, 3)
     of_cells, every = more.highlights - less.highlights, np.ones(len(cells), bool)
-    for trace, change, rows in ((pixels.trace, at_pixels, of_floor), (sources.highlights, of_cells, every)):
+    traces = [(pixels.trace, at_pixels, of_floor)]
+    if columns == SPECULAR:
+        traces.append((sources.highlights, of_cells, every))
+    for trace, change, rows in traces:
         of_box = (trace.triangle >= BOX.start) & (trace.triangle < BOX.stop)
-        slope = (trace.specular * of_box[..., None]).sum(1)[rows].sum(dtype=np.float64)
+        by_albedo = trace.diffuse if columns == DIFFUSE else trace.specular
+        slope = (by_albedo * of_box[..., None]).sum(1)[rows].sum(dtype=np.float64)
         assert slope > 0
         assert slope == pytest.approx(change[rows].sum(dtype=np.float64) / 0.04, rel=0.02)
     mean = np.bincount(sources.cell, sources.triangle < FLOOR.stop) / np.bincount(sources.cell)
