@@ -116,6 +116,7 @@ class GBuffer:
         light: what reaches the hits straight from the lights, if it was asked for (`rfpp.gbuffer.known_light`).
         reflection: what shiny surfaces show, if it was asked for (`rfpp.gbuffer.known_light`).
         cells: the cells that pixels see, if they were asked for (`rfpp.gbuffer.gathering`).
+        points: along each side of a pixel (`rfpp.scene.camera.pixel_plane`).
     """
 
     triangle: Int[np.ndarray, "h w"]
@@ -124,6 +125,7 @@ class GBuffer:
     light: DirectLight | None = None
     reflection: Reflection | None = None
     cells: SeenCells | None = None
+    points: int = 1
 
     @property
     def hit(self) -> np.ndarray:
@@ -143,6 +145,7 @@ def first_hit(
     height: int,
     width: int,
     caster: RayCaster | None = None,
+    points: int = 1,
 ) -> GBuffer:
     """The G-buffer of one camera.
 
@@ -151,12 +154,13 @@ def first_hit(
         c2w: camera to world, Blender axes.
         fov: full angle in degrees along the longer image side.
         caster: `camera_caster(triangles)`, if there is one already.
+        height, width, points: see `rfpp.scene.camera.pixel_plane`.
     """
     caster = caster or camera_caster(triangles)
     visible = np.flatnonzero(~triangles.is_emissive).astype(np.int32)
     if len(caster) != len(visible):
         raise ValueError("the caster belongs to other triangles: make it with camera_caster(triangles)")
-    origins, directions = (np.reshape(a, (-1, 3)) for a in pixel_rays(c2w, float(fov), height, width))
+    origins, directions = (np.reshape(a, (-1, 3)) for a in pixel_rays(c2w, float(fov), height, width, points))
     hits = caster.cast(origins, directions)
     seen = hits.triangle >= 0
     triangle = np.full(len(seen), -1, np.int32)
@@ -170,6 +174,7 @@ def first_hit(
         triangle=triangle.reshape(height, width),
         normal=(normal @ c2w[:3, :3]).astype(np.float32).reshape(height, width, 3),  # inverse rotation: row vectors
         depth=depth.astype(np.float32).reshape(height, width),
+        points=points,
     )
 
 
@@ -207,7 +212,7 @@ def channel(
     if name == "depth":
         return gbuffer.depth[..., None]
     if name == "position":
-        return camera_positions(gbuffer.depth, fov)
+        return camera_positions(gbuffer.depth, fov, gbuffer.points)
     if name in DIRECT_CHANNELS:
         if gbuffer.light is None:
             raise ValueError(f"'{name}' was asked of a G-buffer without direct light: see with_known_light")
@@ -223,9 +228,12 @@ def channel(
     raise UserError(f"G-buffer channel '{name}' does not exist: choose from {', '.join(CHANNELS)}")
 
 
-def camera_positions(depth: Float[np.ndarray, "h w"], fov: SupportsFloat) -> Float[np.ndarray, "h w 3"]:
+def camera_positions(
+    depth: Float[np.ndarray, "h w"], fov: SupportsFloat, points: int = 1
+) -> Float[np.ndarray, "h w 3"]:
     """Camera-space points from planar depth; the origin where depth is 0."""
-    slope = pixel_plane(*depth.shape) * np.tan(np.radians(float(fov)) / 2)
+    height, width = depth.shape
+    slope = pixel_plane(height, width, points) * np.tan(np.radians(float(fov)) / 2)
     position: np.ndarray = np.concatenate([slope, np.full((*depth.shape, 1), -1.0)], axis=-1) * depth[..., None]
     return position.astype(np.float32)
 

@@ -24,21 +24,21 @@ def with_cells(
     fov: SupportsFloat,
     sampler: LightSampler,
     cells: CellMap,
-    points: int = 1,
     seed: int = 0,
     traced: bool = False,
 ) -> GBuffer:
     """The same G-buffer with the cells that its pixels see.
 
+    The rays of a pixel start from its points in turn, and each of them says where all went.
+
     Args:
         gbuffer: of the sampler's scene.
         c2w, fov: of its camera, as in `rfpp.gbuffer.first_hit.first_hit`.
         cells: of the scene.
-        points: where the G-buffer has so many points along each side of a pixel, its rays start from them in turn, and
-            each of them says where all went.
         seed: of the rays' displacement from pixel to pixel; the same seed gives the same numbers.
         traced: whether it is wanted where the light of the first bounce comes from.
     """
+    points = gbuffer.points
     height, width = (side // points for side in gbuffer.depth.shape)
     surface = Surface.seen(gbuffer, sampler.triangles, c2w, fov)
     of_image = surface.points(gbuffer.hit, points)

@@ -43,7 +43,6 @@ def with_known_light(
     sampler: LightSampler,
     samples: int,
     seed: int = 0,
-    points: int = 1,
     reflects: bool = True,
     traced: bool = False,
 ) -> GBuffer:
@@ -52,15 +51,15 @@ def with_known_light(
     Args:
         gbuffer: of the sampler's scene.
         c2w, fov: of its camera, as in `rfpp.gbuffer.first_hit.first_hit`.
-        samples: of each point: shadow rays to each light at the edges of shadows, and rays of the glossy lobe.
+        samples: of each point: shadow rays to each light at the edges of shadows, and rays of the glossy lobe; those of
+            a pixel's points are spread together.
         seed: of the samples' displacement from pixel to pixel; the same seed gives the same numbers.
-        points: where the G-buffer has so many points along each side of a pixel, they share its samples.
         reflects: whether what surfaces reflect of other surfaces is wanted.
         traced: whether it is wanted where that comes from.
     """
     surface = Surface.seen(gbuffer, sampler.triangles, c2w, fov)
-    height, width = (side // points for side in gbuffer.depth.shape)
-    of_image = surface.points(gbuffer.hit, points)
+    height, width = (side // gbuffer.points for side in gbuffer.depth.shape)
+    of_image = surface.points(gbuffer.hit, gbuffer.points)
     light = np.zeros((4, len(surface), 3), np.float32)
     diffuse, glossy, reflected, albedo = light
     keys = np.random.default_rng(seed).integers(1 << 62, size=2).tolist()

@@ -89,7 +89,7 @@ class Surface:
     ) -> Surface:
         """The pixels of a G-buffer that hit something, row by row."""
         turn = c2w[:3, :3].astype(np.float64)
-        position = camera_positions(gbuffer.depth, fov)[gbuffer.hit] @ turn.T + c2w[:3, 3]
+        position = camera_positions(gbuffer.depth, fov, gbuffer.points)[gbuffer.hit] @ turn.T + c2w[:3, 3]
         normal = gbuffer.normal[gbuffer.hit] @ turn.T
         return cls.at(triangles, gbuffer.triangle[gbuffer.hit], position, normal, c2w[:3, 3])
 

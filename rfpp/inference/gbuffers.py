@@ -106,15 +106,15 @@ class GBufferSource:
 
         def of_view(view: int) -> GBuffer:
             c2w, fov = scene.c2w[view], scene.fov[view]
-            gbuffer = self._first_hit(triangles, geometry, c2w, fov, height, width)
+            gbuffer = self._first_hit(triangles, geometry, c2w, fov, height, width, points)
             seen, lights = (c2w, fov), partial(self._lights, triangles, geometry, light)
             if self._wants(DIRECT_CHANNELS) or self._wants(REFLECTION_CHANNELS):
                 reflects = self._wants(REFLECTION_CHANNELS)
-                how = {"points": points, "reflects": reflects, "traced": traced}
+                how = {"reflects": reflects, "traced": traced}
                 gbuffer = with_known_light(gbuffer, *seen, lights(), light_samples, **how)
             if self._wants((*CELL_CHANNELS, BOUNCED_LIGHT)):
                 cells = self._cells(triangles, geometry, light)[1]
-                gbuffer = with_cells(gbuffer, *seen, lights(), cells, points, traced=traced)
+                gbuffer = with_cells(gbuffer, *seen, lights(), cells, traced=traced)
             return gbuffer
 
         return of_view
@@ -162,13 +162,14 @@ class GBufferSource:
         fov: np.floating,
         height: int,
         width: int,
+        points: int,
     ) -> GBuffer:
         def cast() -> GBuffer:
             size = _BYTES_PER_TRIANGLE * len(triangles)
             caster = self._kept.recall(("caster", geometry), size, lambda: camera_caster(triangles))
-            return first_hit(triangles, c2w, fov, height, width, caster)
+            return first_hit(triangles, c2w, fov, height, width, caster, points)
 
-        view = (geometry, c2w.tobytes(), float(fov), height, width)
+        view = (geometry, c2w.tobytes(), float(fov), height, width, points)
         return self._kept.recall(view, _BYTES_PER_PIXEL * height * width, cast)
 
     def _lights(self, triangles: SceneTriangles, geometry: bytes, light: str | None = None) -> LightSampler:

@@ -10,7 +10,7 @@ from torch import Tensor
 class CentreSample:
     """A pixel is what its centre sees (the paper's)."""
 
-    def __call__(self, radiance: Float[Tensor, "n 3 h w"]) -> Float[Tensor, "n 3 h w"]:
+    def __call__(self, radiance: Float[Tensor, "n 3 h w"], points: int = 1) -> Float[Tensor, "n 3 h w"]:
         return radiance
 
 
@@ -21,13 +21,15 @@ class PixelFilter:
 
     Args:
         share: of each neighbour along a row and along a column; the pixel itself keeps 1 - 2 share of either.
+            Pixels of several points already are means over their area, and take less in proportion.
     """
 
     def __init__(self, share: float):
         self.share = share
 
-    def __call__(self, radiance: Float[Tensor, "n 3 h w"]) -> Float[Tensor, "n 3 h w"]:
+    def __call__(self, radiance: Float[Tensor, "n 3 h w"], points: int = 1) -> Float[Tensor, "n 3 h w"]:
+        share = self.share / points
         x = F.pad(radiance, (1, 1, 1, 1), mode="replicate")
         # sums, not a convolution, which mixed precision would round to eight bits
-        x = self.share * (x[..., :-2, :] + x[..., 2:, :]) + (1 - 2 * self.share) * x[..., 1:-1, :]
-        return self.share * (x[..., :-2] + x[..., 2:]) + (1 - 2 * self.share) * x[..., 1:-1]
+        x = share * (x[..., :-2, :] + x[..., 2:, :]) + (1 - 2 * share) * x[..., 1:-1, :]
+        return share * (x[..., :-2] + x[..., 2:]) + (1 - 2 * share) * x[..., 1:-1]

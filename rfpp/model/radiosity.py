@@ -56,5 +56,5 @@ class UnlearnedRadiosity(nn.Module):
         of_points = ViewChannels(batch.gbuffer.flatten(0, 1), self.gbuffer_channels, unit)
         channels = of_points.pooled(supersampling).linear(self.gathering.channels)
         radiance = radiance_with(lambda shared: self.gathering(channels, lit, shared), of_points, supersampling)
-        image = self.film(radiance).view(scenes, views, 3, height, width)
+        image = self.film(radiance, supersampling).view(scenes, views, 3, height, width)
         return Rendering(log_encode(image), states[1:], cells.scenes, cells.scenes)

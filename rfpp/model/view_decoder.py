@@ -122,7 +122,7 @@ class ViewDecoder(nn.Module):
             guides = (of.linear(self.upsampling.channels) for of in (of_rays, of_pixels))
             maps = self.upsampling(maps.float(), *guides)
         radiance = self._shaded(maps, scene, of_pixels, of_points, supersampling)
-        return self.film(radiance).view(batch, views, 3, height, width)
+        return self.film(radiance, supersampling).view(batch, views, 3, height, width)
 
     def _completed(self, of_pixels: ViewChannels, scene: SceneTokens) -> ViewChannels:
         """With what rays are given besides the G-buffer: nothing."""

@@ -19,28 +19,37 @@ def camera_to_world(camera: Camera) -> Float[np.ndarray, "4 4"]:
     return pose.astype(np.float32)
 
 
-def pixel_plane(height: int, width: int) -> Float[np.ndarray, "{height} {width} 2"]:
-    """(x right, y up) of each pixel centre, float32, row 0 on top; the longer image side spans [-1, 1]."""
-    half = max(height, width) / 2
-    x = (np.arange(width) + 0.5 - width / 2) / half
-    y = (height / 2 - np.arange(height) - 0.5) / half
-    return np.stack(np.meshgrid(x, y), axis=-1).astype(np.float32)
+def pixel_plane(height: int, width: int, points: int = 1) -> Float[np.ndarray, "{height} {width} 2"]:
+    """(x right, y up) of each pixel centre, float32, row 0 on top; the longer image side spans [-1, 1].
+
+    Args:
+        height, width: in pixels or, where pixels have several points, in points.
+        points: along each side of a pixel. Each of its columns leans to the side, each row upwards, so that no two
+            points share one: outlines along rows and columns, of which there are many, pass through as many shades as
+            there are points (rotated grid supersampling).
+    """
+    half, middle = max(height, width) / 2, (points - 1) / 2
+    row, column = np.arange(height)[:, None], np.arange(width)
+    plane = np.empty((height, width, 2), np.float32)
+    plane[..., 0] = (column + (row % points - middle) / points + 0.5 - width / 2) / half
+    plane[..., 1] = (height / 2 - row + (column % points - middle) / points - 0.5) / half
+    return plane
 
 
 def pixel_rays(
-    c2w: Float[np.ndarray, "4 4"], fov_degrees: float, height: int, width: int
+    c2w: Float[np.ndarray, "4 4"], fov_degrees: float, height: int, width: int, points: int = 1
 ) -> tuple[Float[np.ndarray, "{height} {width} 3"], Float[np.ndarray, "{height} {width} 3"]]:
     """World-space rays through the pixel centres.
 
     Args:
         c2w: camera-to-world matrix.
         fov_degrees: full field of view along the longer image side.
-        height, width: of the image in pixels.
+        height, width, points: see `pixel_plane`.
 
     Returns:
         origins and unit directions, float32.
     """
-    plane = pixel_plane(height, width).astype(np.float64) * math.tan(math.radians(fov_degrees) / 2)
+    plane = pixel_plane(height, width, points).astype(np.float64) * math.tan(math.radians(fov_degrees) / 2)
     in_camera = np.concatenate([plane, np.full((height, width, 1), -1.0)], axis=-1)
     directions = _unit(in_camera @ c2w[:3, :3].T.astype(np.float64))
     origins = np.broadcast_to(c2w[:3, 3], directions.shape)

@@ -22,8 +22,8 @@ def seen_by(scene: SceneTriangles, camera: np.ndarray, points: int = 1, seed: in
     """The cells that pixels of a picture see, and the object of each cell, -1 for the last."""
     sampler = LightSampler(scene)
     cells, places = find_cells(sampler)
-    gbuffer = first_hit(scene, camera, FOV, points * SIDE, points * SIDE)
-    seen = with_cells(gbuffer, camera, FOV, sampler, places, points, seed).cells
+    gbuffer = first_hit(scene, camera, FOV, points * SIDE, points * SIDE, points=points)
+    seen = with_cells(gbuffer, camera, FOV, sampler, places, seed).cells
     return seen, np.append(cells.octant // 8, NOWHERE)
 
 

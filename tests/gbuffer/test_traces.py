@@ -32,8 +32,8 @@ def mirror_and_box(change: float = 0.0, columns: slice = DIFFUSE) -> SceneTriang
 
 
 def reflected(scene: SceneTriangles):
-    seen = first_hit(scene, CAMERA, FOV, SIDE, SIDE)
-    return with_known_light(seen, CAMERA, FOV, LightSampler(scene), 8, points=POINTS, traced=True)
+    seen = first_hit(scene, CAMERA, FOV, SIDE, SIDE, points=POINTS)
+    return with_known_light(seen, CAMERA, FOV, LightSampler(scene), 8, traced=True)
 
 
 @pytest.mark.parametrize("columns", [DIFFUSE, SPECULAR], ids=["diffuse", "specular"])
@@ -52,14 +52,14 @@ def test_bounced_light_and_highlights_change_as_their_traces_say(columns):
     def of(scene: SceneTriangles):
         sampler = LightSampler(scene)
         cells, places, sources = find_cells_and_sources(sampler)
-        seen = first_hit(scene, CAMERA, FOV, SIDE, SIDE)
-        return cells, with_cells(seen, CAMERA, FOV, sampler, places, POINTS, traced=True).cells, sources
+        seen = first_hit(scene, CAMERA, FOV, SIDE, SIDE, points=POINTS)
+        return cells, with_cells(seen, CAMERA, FOV, sampler, places, traced=True).cells, sources
 
     (cells, pixels, sources), (more, of_more, _), (less, of_less, _) = (
         of(mirror_and_box(change, columns)) for change in (0.0, 0.02, -0.02)
     )
     # of pixels of the floor: how much those of the box blur what they see depends on their own material
-    triangle = first_hit(mirror_and_box(), CAMERA, FOV, SIDE, SIDE).triangle
+    triangle = first_hit(mirror_and_box(), CAMERA, FOV, SIDE, SIDE, points=POINTS).triangle
     of_floor = (triangle >= 0) & (triangle < FLOOR.stop)
     of_floor = of_floor.reshape(SIDE // POINTS, POINTS, SIDE // POINTS, POINTS).all((1, 3)).reshape(-1)
     at_pixels = (of_more.bounced - of_less.bounced)[::POINTS, ::POINTS].reshape(-1, 3)
@@ -79,14 +79,12 @@ def test_bounced_light_and_highlights_change_as_their_traces_say(columns):
 
 def test_nothing_is_recorded_and_nothing_changes_where_nobody_asks():
     scene = mirror_and_box()
-    seen, sampler = first_hit(scene, CAMERA, FOV, SIDE, SIDE), LightSampler(scene)
-    quiet, traced = (
-        with_known_light(seen, CAMERA, FOV, sampler, 8, points=POINTS, traced=wanted) for wanted in (False, True)
-    )
+    seen, sampler = first_hit(scene, CAMERA, FOV, SIDE, SIDE, points=POINTS), LightSampler(scene)
+    quiet, traced = (with_known_light(seen, CAMERA, FOV, sampler, 8, traced=wanted) for wanted in (False, True))
     assert quiet.reflection.trace is None
     np.testing.assert_array_equal(quiet.reflection.light, traced.reflection.light)
     places = find_cells(sampler)[1]
-    assert with_cells(seen, CAMERA, FOV, sampler, places, POINTS).cells.trace is None
+    assert with_cells(seen, CAMERA, FOV, sampler, places).cells.trace is None
 
 
 @pytest.mark.parametrize("alpha", [0.01, 0.3, 1.0])

@@ -19,5 +19,10 @@ def test_the_filter_spreads_light_without_making_any():
     assert not image[0, ::2].any()
 
 
+def test_pixels_of_several_points_take_less_of_their_neighbours():
+    image = torch.rand(1, 3, 6, 6)
+    torch.testing.assert_close(PixelFilter(0.125)(image, points=2), PixelFilter(0.0625)(image))
+
+
 def test_an_even_image_stays_as_it_is_up_to_its_borders():
     torch.testing.assert_close(PixelFilter(0.2)(torch.full((1, 3, 4, 4), 3.0)), torch.full((1, 3, 4, 4), 3.0))

@@ -56,6 +56,17 @@ def test_row_zero_is_the_top_and_column_zero_the_left() -> None:
     np.testing.assert_allclose(plane[3, 3], [0.75, -0.75])
 
 
+@pytest.mark.parametrize("points", [2, 3])
+def test_points_of_a_pixel_share_neither_row_nor_column_and_lie_around_its_centre(points: int) -> None:
+    height, width = 4, 6
+    plane = pixel_plane(points * height, points * width, points)
+    of_pixels = plane.reshape(height, points, width, points, 2).swapaxes(1, 2).reshape(height, width, points**2, 2)
+    np.testing.assert_allclose(of_pixels.mean(2), pixel_plane(height, width), atol=1e-6)
+    offsets = np.sort(of_pixels - of_pixels.mean(2, keepdims=True), axis=2)
+    apart = 2 / max(height, width) / points**2
+    np.testing.assert_allclose(np.diff(offsets, axis=2), apart, atol=1e-6)
+
+
 @pytest.mark.parametrize(("height", "width"), [(6, 6), (6, 10), (10, 6)])
 def test_rays_go_through_the_pixels_they_belong_to(height: int, width: int) -> None:
     c2w = camera_to_world(CAMERA)
