@@ -12,9 +12,10 @@ from torch import Tensor
 from rfpp.gbuffer.first_hit import GATHERED_CHANNELS
 from rfpp.model.autocast import in_float32
 from rfpp.model.cell_gathering import CellGathering, EvenGathering
+from rfpp.model.points import means, repeated
 from rfpp.model.tokenizer import SceneTokens
 from rfpp.model.view_channels import ViewChannels
-from rfpp.model.view_decoder import ViewDecoder, means, repeated
+from rfpp.model.view_decoder import ViewDecoder
 
 #: What is known of a pixel: reflectances, its first bounce, and that of what it reflects.
 KNOWN = ("albedo", "specular", "direct_diffuse", "direct_glossy", "reflected_light")

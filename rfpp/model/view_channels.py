@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import torch
-import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
 from rfpp.gbuffer.first_hit import CELL_CHANNELS, CHANNELS, GATHERED_CHANNELS, LIGHT_CHANNELS
 from rfpp.imaging.radiance import log_encode
+from rfpp.model.points import means
 
 #: Numbers of every channel that decoders know, light among them.
 SIZES = CHANNELS | dict.fromkeys(GATHERED_CHANNELS, 3)
@@ -53,8 +53,7 @@ class ViewChannels:
         if not self.names:
             return replace(self, gbuffer=self.gbuffer[..., ::points, ::points])
         pooled = [
-            x[..., ::points, ::points] if n in CELL_CHANNELS else F.avg_pool2d(x, points)
-            for n, x in self._each(self.names)
+            x[..., ::points, ::points] if n in CELL_CHANNELS else means(x, points) for n, x in self._each(self.names)
         ]
         return replace(self, gbuffer=torch.cat(pooled, dim=1))
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from itertools import cycle
 
 import numpy as np
-import torch.nn.functional as F
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
@@ -18,6 +17,7 @@ from rfpp.model.dpt import LEVELS, DPTHead
 from rfpp.model.encoding import RelativeSpatialEncoding, Rotation, rotate
 from rfpp.model.guided_upsampling import GuidedUpsampling
 from rfpp.model.pixel_filter import CentreSample, PixelFilter
+from rfpp.model.points import means, repeated
 from rfpp.model.ray_bundle import CameraOrigin, FirstHitPosition, RayBundleEmbedding
 from rfpp.model.ray_windows import ShiftedWindows, WholeView
 from rfpp.model.shading import Shading
@@ -145,16 +145,6 @@ class ViewDecoder(nn.Module):
         """The channels a batch must carry, in order: what any of the parts reads."""
         parts = (self.ray_position, self.shading)
         return tuple(dict.fromkeys([*self.rays.gbuffer_channels, *(name for part in parts for name in part.channels)]))
-
-
-def means(points: Float[Tensor, "n c h w"], number: int) -> Float[Tensor, "n c height width"]:
-    """From `number` points along each side of a pixel to pixels."""
-    return points if number == 1 else F.avg_pool2d(points, number)
-
-
-def repeated(pixels: Float[Tensor, "n c height width"], number: int) -> Float[Tensor, "n c h w"]:
-    """A pixel's value at each of its points."""
-    return pixels if number == 1 else F.interpolate(pixels, scale_factor=number, mode="nearest")
 
 
 class DecoderBlock(nn.Module):

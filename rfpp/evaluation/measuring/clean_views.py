@@ -19,7 +19,7 @@ from rfpp.gbuffer.first_hit import CELL_CHANNELS, CHANNELS
 from rfpp.inference.gbuffers import GBufferSource
 from rfpp.model.linear_decoder import KNOWN
 from rfpp.model.pixel_filter import PixelFilter
-from rfpp.model.view_decoder import means
+from rfpp.model.points import means
 from rfpp.scene.packed import PackedScene
 from rfpp.shards.dataset import ShardSplit
 
