@@ -15,9 +15,9 @@ from rfpp.scene.triangles import DIFFUSE, EMISSION, ROUGHNESS, SPECULAR
 
 SIDE = 32
 COLUMNS = {"diffuse": DIFFUSE, "specular": SPECULAR, "roughness": ROUGHNESS, "emissive": EMISSION}
-#: Half the step of the difference that a gradient is compared with.
-# Small where a change would let other rays of the lobe on: gradients are those of the rays as they are.
-STEPS = {"diffuse": 0.02, "specular": 0.005, "roughness": 0.02, "emissive": 40.0}
+#: Half the step of the difference that a gradient is compared with; small where a change would let other rays of the
+#: lobe on, for gradients are those of the rays as they are.
+STEPS = {"diffuse": 0.02, "specular": 0.002, "roughness": 0.02, "emissive": 40.0}
 
 
 @pytest.fixture(scope="module")
