@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from rfpp.gbuffer.cell_table import NOWHERE, CellTable, cell_of, key_at
-from rfpp.gbuffer.compiled import compiled
+from rfpp.gbuffer.compiled import compiled, int64
 from rfpp.gbuffer.counted_random import Key, key_of, uniform
 from rfpp.gbuffer.ggx import lobe_and_pdf
 from rfpp.gbuffer.light_loops import along_lobe, direct_at
@@ -206,7 +206,7 @@ def cells_seen(
         place = y % _TILE * _TILE + x % _TILE
         turn = uniform(own_key, -1)
         for s in range(rays):
-            row = point_of[pixel, s % points.of_pixel]
+            row = _start(point_of[pixel], s)
             if row < 0:
                 continue
             u, v = _of_lattice(place + _TILE * _TILE * s, rays * _TILE * _TILE, of_tile)
@@ -242,6 +242,16 @@ def cells_seen(
             # the emitters' light that comes this way is in `reflected_light`
             end = followed(scene, table, point, way, density, key_of(own_key, 2 * s + 1), False, False)
             glossy[pixel, s], glossy_on[pixel, s] = end.cell, end.onward
+
+
+@compiled
+def _start(point_of: Int[np.ndarray, " of_pixel"], number: int) -> int:
+    """The point from which a ray of a pixel starts: they take turns, and those that are on no surface are left out."""
+    for k in range(len(point_of)):
+        row = point_of[(number + k) % len(point_of)]
+        if row >= 0:
+            return int64(row)
+    return -1
 
 
 @compiled

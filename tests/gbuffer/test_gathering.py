@@ -67,6 +67,16 @@ def test_points_of_a_pixel_share_its_rays():
     assert shares[0] == pytest.approx(shares[1], rel=0.15) and shares[0] > 0.01
 
 
+def test_pixels_at_an_outline_send_as_many_rays_as_others():
+    scene, camera = pack((square(1.0), material(0.5)), (square(200.0, z=0.9), material(0.5))), look_at((0, -1.5, 0.8))
+    gbuffer = first_hit(scene, camera, FOV, 2 * SIDE, 2 * SIDE, points=2)
+    on_floor = (gbuffer.triangle >= 0) & (gbuffer.triangle < 2)
+    hits = on_floor.reshape(SIDE, 2, SIDE, 2).sum((1, 3))
+    seen, _ = seen_by(scene, camera, points=2)
+    assert ((hits > 0) & (hits < 4)).sum() > SIDE / 2
+    assert (seen.diffuse[::2, ::2][hits > 0] != NOWHERE).mean() > 0.98
+
+
 def test_the_same_seed_gives_the_same_rays():
     scene = pack((square(1.0), material(0.5)), (sphere(0.2, (0, 0, 0.3)), material(0.5)))
     first, again, other = (seen_by(scene, look_at((0, -1.5, 0.8)), seed=seed)[0].diffuse for seed in (1, 1, 2))
