@@ -11,7 +11,7 @@ from rfpp.gbuffer.cell_table import NOWHERE, CellTable, cell_of, key_at
 from rfpp.gbuffer.compiled import compiled, int64
 from rfpp.gbuffer.counted_random import Key, key_of, uniform
 from rfpp.gbuffer.ggx import lobe_and_pdf
-from rfpp.gbuffer.light_loops import along_lobe, direct_at
+from rfpp.gbuffer.light_loops import along_lobe, direct_at, rays_to_all
 from rfpp.gbuffer.lit_scene import (
     LitScene,
     alpha_of,
@@ -76,12 +76,14 @@ def followed(
     key: Key,
     wants_diffuse: bool,
     wants_glossy: bool,
+    turn: int,
 ) -> End:
     """What a ray meets.
 
     Args:
         density: per solid angle, with which the surface that the ray leaves sends rays this way.
         wants_diffuse, wants_glossy: of which lobes the emitters' light is wanted.
+        turn: number of the ray among those that gather together: they take turns where lights are many.
     """
     triangle, a, b, distance, there = met(scene, origin, way)
     if triangle < 0:
@@ -98,7 +100,9 @@ def followed(
     dull, glossy, slope = BLACK, BLACK, BLACK
     if wants_diffuse or (wants_glossy and shines):
         of_light, of_lobe = key_of(key, _LIGHT), alpha if wants_glossy else -1.0
-        dull, glossy = direct_at(scene, point, normal, back, of_lobe, specular, 1, of_light, wants_diffuse)
+        dull, glossy = direct_at(
+            scene, point, normal, back, of_lobe, specular, 1, of_light, wants_diffuse, rays_to_all(scene), turn
+        )
         dull = dull if wants_diffuse else BLACK
     light = added(product(diffuse, dull), product(specular, glossy))
     if not shines:
@@ -165,7 +169,7 @@ def follow_each(
     for row in range(start, stop):
         of_ray, origin, way = key_of(key, row), triple(origins[row]), triple(ways[row])
         # what leaves to all sides of a cell is for the network to move
-        end = followed(scene, table, origin, way, density[row], of_ray, False, True)
+        end = followed(scene, table, origin, way, density[row], of_ray, False, True, row)
         triangle[row], cell[row], onward[row] = end.triangle, end.cell, end.onward
         for c in range(3):
             light[row, c], slope[row, c] = end.light[c], end.by_specular[c]
@@ -221,7 +225,7 @@ def cells_seen(
             by_lobe = lobe_and_pdf(view, toward, alpha)[1] if alpha >= 0 else 0.0
             density = density_of_lobes(mean_diffuse, mean_specular, toward[2], by_lobe)
             way = in_world(toward, first, second, normal)
-            end = followed(scene, table, point, way, density, key_of(own_key, 2 * s), True, True)
+            end = followed(scene, table, point, way, density, key_of(own_key, 2 * s), True, True, place + s)
             diffuse[pixel, s], diffuse_on[pixel, s] = end.cell, end.onward
             for c in range(3):
                 light[pixel, c] += end.light[c] / rays
@@ -240,7 +244,7 @@ def cells_seen(
             toward = in_frame(way, first, second, normal)
             density = density_of_lobes(mean_diffuse, mean_specular, toward[2], lobe_and_pdf(view, toward, alpha)[1])
             # the emitters' light that comes this way is in `reflected_light`
-            end = followed(scene, table, point, way, density, key_of(own_key, 2 * s + 1), False, False)
+            end = followed(scene, table, point, way, density, key_of(own_key, 2 * s + 1), False, False, 0)
             glossy[pixel, s], glossy_on[pixel, s] = end.cell, end.onward
 
 

@@ -16,6 +16,8 @@ from rfpp.gbuffer.vectors import BLACK, Triple, Vector, added, dot, in_frame, in
 
 #: Lobes wider than this α find emitters by samples of the lights alone.
 WIDE = 0.1
+#: Lights that each of many rays samples where it ends.
+_AT_ONCE = 4
 
 
 @compiled
@@ -111,6 +113,12 @@ def emitter_light(
 
 
 @compiled
+def rays_to_all(scene: LitScene) -> int:
+    """How many rays that gather together it takes to sample all lights where they end."""
+    return max((len(scene.shining) + _AT_ONCE - 1) // _AT_ONCE, 1)
+
+
+@compiled
 def direct_at(
     scene: LitScene,
     point: Vector,
@@ -121,6 +129,8 @@ def direct_at(
     samples: int,
     key: Key,
     wants_diffuse: bool,
+    every: int,
+    turn: int,
 ) -> tuple[Triple, Triple]:
     """Irradiance / π and glossy light at a point, in the units of `DirectLight`.
 
@@ -130,12 +140,14 @@ def direct_at(
         specular: albedo, by which multiple scattering is coloured.
         samples: shadow rays to each light.
         wants_diffuse: whether irradiance is of interest.
+        every, turn: of the lights each `every`th from this one on is sampled, for all of them. Which, does not depend
+            on what shines, so that the light of several is the sum of theirs.
     """
     diffuse, glossy = BLACK, BLACK
     first, second = tangents(normal)
     view = in_frame(view, first, second, normal)
     for light in range(len(scene.shining)):
-        if not scene.shining[light]:
+        if not scene.shining[light] or (light + turn) % every != 0:
             continue
         shift_u, shift_v = uniform(key, 2 * light), uniform(key, 2 * light + 1)
         visible, whole, exact = 0.0, 0.0, scene.exact[light]
@@ -155,6 +167,7 @@ def direct_at(
                 glossy = added(glossy, scaled(radiance, weight))
         if wants_diffuse and exact and visible > 0:
             diffuse = added(diffuse, by_formula(scene, light, point, normal, visible / whole))
+    diffuse, glossy = scaled(diffuse, every), scaled(glossy, every)
     if alpha < 0:
         return diffuse, glossy
     if alpha <= WIDE and len(scene.shining) > 0:
@@ -189,7 +202,7 @@ def gathered_each(
         shines = max(points.specular[row, 0], points.specular[row, 1], points.specular[row, 2]) > 0
         alpha = points.alpha[row] if shines and dot(normal, view) > 0 else -1.0
         point, specular, own_key = triple(points.point[row]), triple(points.specular[row]), key_of(key, row)
-        found = direct_at(scene, point, normal, view, alpha, specular, samples, own_key, True)
+        found = direct_at(scene, point, normal, view, alpha, specular, samples, own_key, True, 1, 0)
         for c in range(3):
             diffuse[row, c], glossy[row, c] = found[0][c], found[1][c]
 

@@ -9,7 +9,15 @@ from rfpp.gbuffer import ggx
 from rfpp.gbuffer.compiled import compiled
 from rfpp.gbuffer.counted_random import Key, key_of, spread, uniform
 from rfpp.gbuffer.ggx import lobe_and_pdf
-from rfpp.gbuffer.light_loops import along_lobe, by_formula, direct_at, emitter_light, light_sample, over_density
+from rfpp.gbuffer.light_loops import (
+    along_lobe,
+    by_formula,
+    direct_at,
+    emitter_light,
+    light_sample,
+    over_density,
+    rays_to_all,
+)
 from rfpp.gbuffer.lit_scene import (
     LitScene,
     alpha_of,
@@ -199,6 +207,7 @@ def lobe_rays(
         own_key = key_of(key, points.pixel[row])
         shift_u, shift_v = uniform(own_key, 0), uniform(own_key, 1)
         count = _rays(samples, alpha, own_specular)
+        every = rays_to_all(scene) if count > 1 else 1
         emitted, reflection, reflectance = BLACK, BLACK, BLACK
         for s in range(count):
             number = s * points.of_pixel + points.nth[row]
@@ -224,7 +233,9 @@ def lobe_rays(
             density = density_of_lobes(own_diffuse, own_specular, toward[2], by_lobe)
             its_alpha = blurred(alpha_of(scene, triangle), density) if shines else -1.0
             of_ray = key_of(own_key, 2 + number)
-            dull, glossy_there = direct_at(scene, seen_from, its_normal, back, its_alpha, its_specular, 1, of_ray, True)
+            dull, glossy_there = direct_at(
+                scene, seen_from, its_normal, back, its_alpha, its_specular, 1, of_ray, True, every, number
+            )
             leaving = added(product(its_diffuse, dull), product(its_specular, glossy_there))
             reflection = added(reflection, scaled(leaving, weight))
             reflectance = added(reflectance, scaled(added(its_diffuse, its_specular), weight))

@@ -1,5 +1,7 @@
 """The cells that pixels see: rays go where light comes from."""
 
+from collections.abc import Iterable
+
 import numpy as np
 import pytest
 from known_scenes import box, look_at, material, pack, sphere, square
@@ -110,12 +112,14 @@ def test_bounced_light_is_linear_in_light_and_of_both_lobes():
     assert seen_by(lit_wall(), camera)[0].bounced.max() > 0
 
 
+WALL = np.array([[[0.5, -0.5, 0], [0.5, 0.5, 1], [0.5, 0.5, 0]], [[0.5, -0.5, 0], [0.5, -0.5, 1], [0.5, 0.5, 1]]])
+
+
 def lit_wall() -> SceneTriangles:
     """A floor, and a wall beside it, whose foot is in the shadow of a shelf."""
-    wall = np.array([[[0.5, -0.5, 0], [0.5, 0.5, 1], [0.5, 0.5, 0]], [[0.5, -0.5, 0], [0.5, -0.5, 1], [0.5, 0.5, 1]]])
     return pack(
         (square(1.0), material(0.5)),
-        (wall, material(0.8)),
+        (WALL, material(0.8)),
         (square(0.5, z=0.45) + np.array([0.25, 0, 0]), material(0.0)),
         (square(0.3, z=1.5)[:, ::-1], material(emission=30.0)),
     )
@@ -140,6 +144,28 @@ def test_bounced_light_knows_shadows_within_a_cell():
         clear = ~RayCaster(scene.positions).occluded(np.broadcast_to(point, way.shape), way, distance - 2e-4)
         arriving.append(np.mean(leaving * clear * way[:, 2] * way[:, 0] / (np.pi * distance**2)))
     assert seen == pytest.approx(np.mean(arriving), rel=0.05)
+
+
+def lamps(numbers: Iterable[int]) -> SceneTriangles:
+    """A floor and a wall under a row of lamps."""
+    lamp, shining = square(0.1, z=1.5)[:, ::-1], material(emission=30.0)
+    row = [(lamp + np.array([0.1 * n - 0.5, 0, 0]), shining) for n in numbers]
+    return pack((square(1.0), material(0.5)), (WALL, material(0.8)), *row)
+
+
+def test_rays_take_turns_with_many_lights_whose_light_is_still_the_sum_of_theirs():
+    camera = look_at((-1.2, 0, 0.4), (0.1, 0, 0))
+    many = [seen_by(lamps(range(10)), camera, seed=seed)[0].bounced.sum() for seed in range(12)]
+    alone = [[seen_by(lamps([n]), camera, seed=seed)[0].bounced.sum() for n in range(10)] for seed in range(12)]
+    assert np.mean(many) == pytest.approx(np.mean(np.sum(alone, axis=1)), rel=0.05)
+
+    scene = lamps(range(10))
+    sampler, seen = LightSampler(scene), first_hit(scene, camera, FOV, SIDE, SIDE)
+    places = find_cells(sampler)[1]
+    whole, *parts = (
+        with_cells(seen, camera, FOV, of, places).cells.bounced for of in (sampler, *map(sampler.only, sampler.names))
+    )
+    np.testing.assert_allclose(sum(parts), whole, rtol=1e-3, atol=1e-6)
 
 
 def test_surfaces_that_touch_are_not_seen_from_where_they_touch():
