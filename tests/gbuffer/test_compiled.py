@@ -1,8 +1,12 @@
-"""Compiled loops are kept on disk until any of their sources changes."""
+"""Compiled loops are kept on disk until any of their sources changes, and make no arrays."""
 
 import shutil
 import subprocess
 import sys
+
+import numpy as np
+import pytest
+from numba.core.errors import NumbaError
 
 from rfpp.gbuffer import compiled
 
@@ -38,3 +42,14 @@ def test_a_change_in_what_a_loop_calls_is_noticed(tmp_path):
     assert run(1) == [2, 0]
     assert run(1) == [2, 1]  # from disk
     assert run(7) == [14, 0]
+
+
+@compiled.compiled
+def makes_an_array() -> np.ndarray:
+    return np.zeros(3)
+
+
+def test_a_loop_that_makes_an_array_is_refused():
+    """Then Numba would count references to all arrays that it is given, and threads would wait for each other."""
+    with pytest.raises(NumbaError, match="NRT required|returning of array"):
+        makes_an_array()
