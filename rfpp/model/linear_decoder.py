@@ -130,7 +130,8 @@ class FactoredViewDecoder(LinearViewDecoder):
         of_known, of_gathered = self.factors(of_pixels.linear(self.factors.channels))
 
         def gather(shared: Float[Tensor, "n 3 h w"]) -> Float[Tensor, "n 6 h w"]:
-            return of_gathered * self._gathered(maps, scene, of_pixels, shared)
+            light: Tensor = of_gathered * self._gathered(maps, scene, of_pixels, shared)
+            return light
 
         return radiance_with(gather, of_points, supersampling, of_known)
 
