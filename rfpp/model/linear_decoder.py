@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
 from typing import Any
 
 import torch
@@ -13,7 +12,6 @@ from torch import Tensor
 from rfpp.gbuffer.first_hit import GATHERED_CHANNELS
 from rfpp.model.autocast import in_float32
 from rfpp.model.cell_gathering import CellGathering, EvenGathering
-from rfpp.model.pixel_factors import PixelFactors
 from rfpp.model.points import means, repeated
 from rfpp.model.tokenizer import SceneTokens
 from rfpp.model.view_channels import ViewChannels
@@ -42,10 +40,7 @@ def radiance_of(
 
 
 def radiance_with(
-    gather: Callable[[Float[Tensor, "n 3 h w"]], Float[Tensor, "n 6 h w"]],
-    of_points: ViewChannels,
-    supersampling: int,
-    factors: Float[Tensor, "n 6 height width"] | None = None,
+    gather: Callable[[Float[Tensor, "n 3 h w"]], Float[Tensor, "n 6 h w"]], of_points: ViewChannels, supersampling: int
 ) -> Float[Tensor, "n 3 height width"]:
     """Radiance of pixels that share what dull surfaces reflect with their neighbours, as they do gathered light.
 
@@ -55,12 +50,10 @@ def radiance_with(
     Args:
         gather: from glossy light of pixels, to be shared, to gathered light with it.
         of_points: with so many points along each side of a pixel.
-        factors: of the known light of pixels.
     """
-    of_known = 1.0 if factors is None else repeated(factors, supersampling)
     roughness, reflected = of_points.linear(("roughness", "reflected_light")).split([1, 3], dim=1)
     gathered = repeated(gather(means(roughness * reflected, supersampling)), supersampling)
-    return means(radiance_of(of_points, gathered, of_known, of_reflected=1 - roughness), supersampling)
+    return means(radiance_of(of_points, gathered, of_reflected=1 - roughness), supersampling)
 
 
 class LinearViewDecoder(ViewDecoder):
@@ -88,56 +81,15 @@ class LinearViewDecoder(ViewDecoder):
         of_points: ViewChannels,
         supersampling: int,
     ) -> Float[Tensor, "n 3 h w"]:
-        return radiance_with(partial(self._gathered, maps, scene, of_pixels), of_points, supersampling)
+        def gather(shared: Float[Tensor, "n 3 h w"]) -> Float[Tensor, "n 6 h w"]:
+            with in_float32(maps):
+                return self.shading(maps, of_pixels.linear(self.shading.channels), scene.lit_cells, shared)
 
-    def _gathered(
-        self,
-        maps: Float[Tensor, "n maps h w"],
-        scene: SceneTokens,
-        of_pixels: ViewChannels,
-        shared: Float[Tensor, "n 3 h w"],
-    ) -> Float[Tensor, "n 6 h w"]:
-        with in_float32(maps):
-            return self.shading(maps, of_pixels.linear(self.shading.channels), scene.lit_cells, shared)
+        return radiance_with(gather, of_points, supersampling)
 
     @property
     def gbuffer_channels(self) -> tuple[str, ...]:
         return tuple(dict.fromkeys([*super().gbuffer_channels, *KNOWN]))
-
-
-class FactoredViewDecoder(LinearViewDecoder):
-    """As LinearViewDecoder, and every pixel's known and gathered light have factors that its surroundings decide.
-
-    Not in the paper.
-
-    Args:
-        factors: of pixels.
-        others: see LinearViewDecoder.
-    """
-
-    def __init__(self, *, factors: PixelFactors, **others: Any):
-        super().__init__(**others)
-        self.factors = factors
-
-    def _shaded(
-        self,
-        maps: Float[Tensor, "n maps h w"],
-        scene: SceneTokens,
-        of_pixels: ViewChannels,
-        of_points: ViewChannels,
-        supersampling: int,
-    ) -> Float[Tensor, "n 3 h w"]:
-        of_known, of_gathered = self.factors(of_pixels.linear(self.factors.channels))
-
-        def gather(shared: Float[Tensor, "n 3 h w"]) -> Float[Tensor, "n 6 h w"]:
-            light: Tensor = of_gathered * self._gathered(maps, scene, of_pixels, shared)
-            return light
-
-        return radiance_with(gather, of_points, supersampling, of_known)
-
-    @property
-    def gbuffer_channels(self) -> tuple[str, ...]:
-        return tuple(dict.fromkeys([*super().gbuffer_channels, *self.factors.channels]))
 
 
 class CorrectedViewDecoder(ViewDecoder):

@@ -30,11 +30,7 @@ def test_twice_the_power_is_twice_the_image():
     assert not ours.render(with_power(0.0)).any()
 
 
-@pytest.mark.parametrize(
-    "overrides",
-    [LINEAR, ("experiment=[ablation,octant_tokens]",), ("experiment=[ablation,pixel_factors]",)],
-    ids=["linear", "octants", "factors"],
-)
+@pytest.mark.parametrize("overrides", [LINEAR, ("experiment=[ablation,octant_tokens]",)], ids=["linear", "octants"])
 @pytest.mark.parametrize("edit", EDITS, ids=lambda edit: edit.__name__)
 def test_an_edited_scene_looks_as_if_it_had_been_so_from_the_start(edit, overrides):
     edited, ours = edit(scene()), renderer(*overrides)

@@ -21,7 +21,6 @@ BEYOND_THE_PAPER = {
     "RenderFormer++, linear light",
     "RenderFormer++, corrected light",
     "RenderFormer++, linear light, learned occlusion",
-    "RenderFormer++, linear light, factors of pixels",
     "RenderFormer++, linear light, tokens at octants",
     "RenderFormer++, linear light from emission alone",
     "RenderFormer++, known light, operator without unit RMS",

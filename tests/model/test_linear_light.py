@@ -23,7 +23,6 @@ from rfpp.packed_cells import LIGHT, PackedCells
 from rfpp.shards.views import select_views
 
 LINEAR = ("experiment=quickstart",)
-FACTORED = ("experiment=[quickstart,pixel_factors]",)
 CORRECTED = ("experiment=quickstart", "model=corrected_light")
 
 
@@ -32,14 +31,14 @@ def sample():
     return stored_sample()
 
 
-@pytest.fixture(params=[LINEAR, FACTORED, CORRECTED], ids=["linear", "factored", "corrected"])
+@pytest.fixture(params=[LINEAR, CORRECTED], ids=["linear", "corrected"])
 def net(request):
     return network(*request.param)
 
 
-@pytest.fixture(params=[LINEAR, FACTORED], ids=["linear", "factored"])
-def linear(request):
-    return network(*request.param)
+@pytest.fixture
+def linear():
+    return network(*LINEAR)
 
 
 def batch_of(net, sample, light: np.ndarray | float = 1.0, channel_light: dict | None = None) -> RaggedBatch:

@@ -20,8 +20,7 @@ VARIANTS = {
         name: (f"experiment=[large_scale,{name}]", "size=tiny", *HEADS)
         # without_tcl is the paper's network, renderformer_finetuned RenderFormer's
         for name in ("without_pitg", "without_ggd", "one_iteration", "renderformer", "renderformer_pitg",
-                     "renderformer_hoct", "direct_light", "learned_occlusion", "light_from_emission", "octant_tokens",
-                     "pixel_factors")
+                     "renderformer_hoct", "direct_light", "learned_occlusion", "light_from_emission", "octant_tokens")
     },
 }  # fmt: skip
 
