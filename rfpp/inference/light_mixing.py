@@ -55,7 +55,8 @@ class LightMixer:
             apart = self._rendered(scene, emitted, size)
             self._apart.put(view, apart, apart.images.nbytes)
         if apart is not None:
-            return np.einsum("lc,lhwc->hwc", emitted / apart.powers[:, None], apart.images, dtype=np.float32)
+            mixed = np.einsum("lc,lhwc->hwc", emitted / apart.powers[:, None], apart.images, dtype=np.float32)
+            return self.renderer.refined(mixed[None], scene)[0]
         self._before[view] = lights
         if len(self._before) > _REMEMBERED:
             self._before.popitem(last=False)

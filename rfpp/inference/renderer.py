@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
@@ -21,6 +22,7 @@ from rfpp.errors import UserError
 from rfpp.imaging.radiance import log_decode
 from rfpp.inference.gbuffers import GBufferSource, direct_alone
 from rfpp.inference.plan import Plan, image_size
+from rfpp.inference.refining import Refiner
 from rfpp.inference.scene_encoder import SceneEncoder
 from rfpp.model.matrix_precision import convert_blocks, matrix_dtype
 from rfpp.model.renderformer_pp import EncodedScenes
@@ -65,6 +67,8 @@ class Renderer:
         self.objects = self.encoder.objects
         #: What cameras see, and what is known of scenes.
         self.gbuffers = GBufferSource(network.gbuffer_channels)
+        #: The last stage alone.
+        self.refined = Refiner(network, self.device, self.encoder.autocast)
 
     @classmethod
     def load(
@@ -140,7 +144,8 @@ class Renderer:
     ) -> dict[str, Float[np.ndarray, "v h w 3"]]:
         """The images of each light alone, by the name of its object; their sum is that of `render`, to rounding.
 
-        Not in the paper. Weighted sums of them are the images with lights dimmed, switched off or coloured.
+        Not in the paper. Weighted sums of them are the images with lights dimmed, switched off or coloured. They are
+        not refined, where a network refines its images: their sum passed through `refined` is that of `render`.
 
         Args:
             resolution, sampling: see `render`.
@@ -160,7 +165,7 @@ class Renderer:
         """The light that arrives after one reflection, after two, …; the sum is the image of `render`, to rounding.
 
         Not in the paper. The first is direct light; each application of the transport operator (`transports`) adds one
-        after the second.
+        after the second. As with `render_lights`, nothing is refined.
 
         Args:
             resolution, sampling: see `render`.
@@ -182,11 +187,13 @@ class Renderer:
         token_resolution: int | None = None,
         transports: int | None = None,
         light: str | None = None,
+        refined: bool = True,
     ) -> Iterator[Float[np.ndarray, "h w 3"]]:
         """The images of `render`, each as soon as it is finished.
 
         Args:
-            light: only the light of this object; None: all. For a network that is linear in lights.
+            light: only the light of this object; None: all. For a network that is linear in lights; not refined.
+            refined: whether images pass through the network's refinement, if it has one.
         """
         packed = pack(scene) if cameras is None else pack(scene).seen_by(cameras)
         plan = Plan.of(
@@ -200,7 +207,7 @@ class Renderer:
         )
         if light is not None:
             self._require_linear("lights")
-        return self._views(plan, light, self.encoder.encode, self._decode)
+        return self._views(plan, light, self.encoder.encode, partial(self._decode, refined=refined and light is None))
 
     def planned(
         self, scene: PackedScene, resolution: int | tuple[int, int] | None = None, **sampling: int | None
@@ -259,11 +266,13 @@ class Renderer:
         raise UserError(f"{what}: {wrong} of {image.size // 3} pixels are not finite: {why}")
 
     @torch.inference_mode()
-    def _decode(self, encoded: EncodedScenes, view: View, plan: Plan) -> Float[np.ndarray, "height width 3"]:
+    def _decode(
+        self, encoded: EncodedScenes, view: View, plan: Plan, refined: bool = False
+    ) -> Float[np.ndarray, "height width 3"]:
         c2w, fov, gbuffer = view
         camera, seen = (c2w.to(self.device), fov.to(self.device)), torch.from_numpy(gbuffer[None, None])
         with self.encoder.autocast():
-            log_radiance = self.network.view(encoded, *camera, seen.to(self.device), plan.points, plan.stride)
+            log_radiance = self.network.view(encoded, *camera, seen.to(self.device), plan.points, plan.stride, refined)
         return log_decode(log_radiance)[0, 0].permute(1, 2, 0).clamp_min(0).cpu().numpy()
 
     def _decode_each(

@@ -12,9 +12,12 @@ from rfpp.imaging.radiance import log_encode
 from rfpp.model.exposure import MeanIrradianceExposure, UnitExposure
 from rfpp.model.initial_light import CellLight, EmittedLight, FirstBounce
 from rfpp.model.lit_cells import LitCells
+from rfpp.model.points import means
+from rfpp.model.refinement import Refinement, Unrefined
 from rfpp.model.tokenizer import ObjectTokens, SceneTokens, TriangleTokens
 from rfpp.model.transport import IteratedTransport, Transport, TransportStates
 from rfpp.model.triangle_embedding import TexturePatchEmbedding, TriangleEmbedding
+from rfpp.model.view_channels import SIZES, ViewChannels
 from rfpp.model.view_decoder import ViewDecoder
 from rfpp.segments import Segments
 
@@ -58,6 +61,9 @@ class RenderFormerPP(nn.Module):
     """Triangles → tokens → light transport → views.
 
     Every variant of the paper is this class with other parts; nothing here asks which.
+
+    Args:
+        refinement: of finished images; None, as in the paper, leaves them as the decoder gives them.
     """
 
     def __init__(
@@ -68,6 +74,7 @@ class RenderFormerPP(nn.Module):
         decoder: ViewDecoder,
         exposure: UnitExposure | MeanIrradianceExposure,
         source: EmittedLight | FirstBounce | CellLight,
+        refinement: Refinement | None = None,
     ):
         super().__init__()
         self.embedding = embedding
@@ -76,6 +83,7 @@ class RenderFormerPP(nn.Module):
         self.decoder = decoder
         self.exposure = exposure
         self.source = source
+        self.refinement = refinement or Unrefined()
 
     def forward(self, batch: RaggedBatch, supersampling: int = 1) -> Rendering:
         scenes = self.encode(batch)
@@ -132,14 +140,27 @@ class RenderFormerPP(nn.Module):
         gbuffer: Float[Tensor, "b v c h w"],
         supersampling: int = 1,
         stride: int = 1,
+        refined: bool = True,
     ) -> Float[Tensor, "b v 3 height width"]:
         """The view-dependent stage: log10(1 + radiance) of V views of each scene, float32.
 
         Args:
-            gbuffer, supersampling, stride: see `ViewDecoder.forward`.
+            gbuffer: `gbuffer_channels`.
+            supersampling, stride: see `ViewDecoder.forward`.
+            refined: whether the image passes through the refinement, if there is one.
         """
-        radiance = self.decoder(scenes.tokens, c2w, fov, gbuffer, scenes.exposure, supersampling, stride)
+        to_decoder = gbuffer[:, :, : sum(SIZES[name] for name in self.decoder.gbuffer_channels)]
+        radiance = self.decoder(scenes.tokens, c2w, fov, to_decoder, scenes.exposure, supersampling, stride)
+        if refined:
+            surfaces = self.surfaces(gbuffer.flatten(0, 1), supersampling)
+            radiance = self.refinement(radiance.flatten(0, 1), surfaces, fov.flatten()).view_as(radiance)
         return log_encode(scenes.exposure[:, None, None, None, None] * radiance)
+
+    def surfaces(self, gbuffer: Float[Tensor, "n c h w"], supersampling: int) -> Float[Tensor, "n _ height width"]:
+        """What the refinement reads of N views' G-buffers (`gbuffer_channels`): means over pixels."""
+        no_light = gbuffer.new_ones(len(gbuffer))
+        of_points = ViewChannels(gbuffer, self.gbuffer_channels, no_light)
+        return means(of_points.linear(self.refinement.channels), supersampling)
 
     @property
     def iterations(self) -> int:
@@ -153,13 +174,13 @@ class RenderFormerPP(nn.Module):
 
     @property
     def linear_in_lights(self) -> bool:
-        """Whether the image of several lights is the sum of theirs."""
+        """Whether the image of several lights is the sum of theirs, before refinement."""
         return self.decoder.linear_in_lights
 
     @property
     def gbuffer_channels(self) -> tuple[str, ...]:
         """The G-buffer channels a batch must carry, in order."""
-        return self.decoder.gbuffer_channels
+        return tuple(dict.fromkeys([*self.decoder.gbuffer_channels, *self.refinement.channels]))
 
     @property
     def shades_points(self) -> bool:

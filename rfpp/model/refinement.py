@@ -1,0 +1,126 @@
+"""The last stage: a convolutional network that corrects the finished image, knowing the surfaces it shows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+import torch.nn.functional as F
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from rfpp.imaging.radiance import log_encode
+from rfpp.model.autocast import in_float32
+
+#: What a pixel's own place has in the kernel's softmax beyond its neighbours before training: it keeps 7/8 of itself.
+_OWN = 4.0
+
+
+class Unrefined:
+    """The image as the decoder gives it."""
+
+    #: What it needs of the G-buffer, in order.
+    channels: tuple[str, ...] = ()
+
+    def __call__(
+        self, radiance: Float[Tensor, "n 3 h w"], gbuffer: Float[Tensor, "n 0 h w"], fov: Float[Tensor, " n"]
+    ) -> Float[Tensor, "n 3 h w"]:
+        return radiance
+
+
+class Refinement(nn.Module):
+    """A U-Net (Ronneberger et al. 2015) that reads image and surfaces, and predicts two corrections of the image.
+
+    Not in the paper; path tracers' denoisers read the same (Chaitanya et al. 2017). Every pixel becomes a weighted mean
+    over itself and its eight neighbours (Bako et al. 2017), with weights of its own, times factors exp(γ tanh(map)) of
+    red, green and blue. So black stays black, and no correction is larger than γ allows. What it reads of the image is
+    in units of the image's mean: twice the light gives exactly twice the image. It is not linear in single lights.
+
+    Args:
+        widths: channels at full, half and quarter resolution.
+        bound: γ.
+    """
+
+    #: What it needs of the G-buffer, in order.
+    channels: tuple[str, ...] = ("albedo", "specular", "roughness", "normal", "position")
+
+    def __init__(self, widths: Sequence[int], bound: float):
+        super().__init__()
+        fine, half, quarter = widths
+        self.bound = bound
+        self.fine = nn.Sequential(_conv(_INPUTS, fine), nn.SiLU(), _conv(fine, fine), nn.SiLU())
+        self.half = nn.Sequential(_conv(fine, half), nn.SiLU(), _conv(half, half), nn.SiLU())
+        self.quarter = nn.Sequential(_conv(half, quarter), nn.SiLU(), _conv(quarter, quarter), nn.SiLU())
+        self.to_half = nn.Sequential(_conv(quarter + half, half), nn.SiLU())
+        self.to_fine = nn.Sequential(_conv(half + fine, fine), nn.SiLU())
+        self.out = nn.Conv2d(fine, 3 + 9, 1)
+        nn.init.zeros_(self.out.weight)
+        nn.init.zeros_(self.out.bias)
+        self.to(memory_format=torch.channels_last)
+
+    def forward(
+        self, radiance: Float[Tensor, "n 3 h w"], gbuffer: Float[Tensor, "n 13 h w"], fov: Float[Tensor, " n"]
+    ) -> Float[Tensor, "n 3 h w"]:
+        """Linear radiance, corrected.
+
+        Args:
+            radiance: linear, of any unit.
+            gbuffer: `channels` of pixels.
+            fov: degrees along the longer image side.
+        """
+        seen = torch.cat([_light(radiance), _surfaces(gbuffer, fov)], dim=1).contiguous(
+            memory_format=torch.channels_last
+        )
+        fine = self.fine(seen)
+        half = self.half(F.avg_pool2d(fine, 2, ceil_mode=True))
+        quarter = self.quarter(F.avg_pool2d(half, 2, ceil_mode=True))
+        half = self.to_half(torch.cat([_enlarged(quarter, half), half], dim=1))
+        fine = self.to_fine(torch.cat([_enlarged(half, fine), fine], dim=1))
+        factors, weights = self.out(fine).float().split([3, 9], dim=1)
+        with in_float32(radiance):
+            return torch.exp(self.bound * torch.tanh(factors)) * _mixed(radiance.float(), weights)
+
+
+#: Image 3, albedo 3, specular 3, roughness, normal 3, size of a pixel, whether there is a surface.
+_INPUTS = 15
+
+
+def _conv(inputs: int, outputs: int) -> nn.Conv2d:
+    return nn.Conv2d(inputs, outputs, 3, padding=1)
+
+
+def _light(radiance: Float[Tensor, "n 3 h w"]) -> Float[Tensor, "n 3 h w"]:
+    """What is read of the image: a logarithm that is near 1 where it is as bright as on average."""
+    mean = radiance.mean((1, 2, 3), keepdim=True)
+    return 2 * log_encode(radiance / mean.clamp_min(1e-20))
+
+
+def _surfaces(gbuffer: Float[Tensor, "n 13 h w"], fov: Float[Tensor, " n"]) -> Float[Tensor, "n 12 h w"]:
+    """What is read of the surfaces: as they are, but of positions only how large a pixel is there, in octaves.
+
+    How far corners' shadows reach is a matter of lengths, not of pixels.
+    """
+    material, normal, position = gbuffer.split([7, 3, 3], dim=1)
+    hit = (normal.square().sum(1, keepdim=True) > 0).to(gbuffer)
+    pixel = 2 * torch.tan(torch.deg2rad(fov) / 2)[:, None, None, None] / max(gbuffer.shape[-2:])
+    size = pixel * position.square().sum(1, keepdim=True).sqrt()
+    return torch.cat([material, normal, hit * torch.log2(64 * size.clamp_min(1e-6)), hit], dim=1)
+
+
+def _enlarged(
+    x: Float[Tensor, "n c h w"], like: Float[Tensor, "n _ height width"]
+) -> Float[Tensor, "n c height width"]:
+    return F.interpolate(x, size=like.shape[-2:], mode="bilinear", align_corners=False)
+
+
+def _mixed(image: Float[Tensor, "n 3 h w"], weights: Float[Tensor, "n 9 h w"]) -> Float[Tensor, "n 3 h w"]:
+    """Each pixel with its neighbours, by the softmax of its weights."""
+    own = torch.zeros(9, device=weights.device)
+    own[4] = _OWN
+    shares = torch.softmax(weights + own[:, None, None], dim=1)
+    padded, (height, width) = F.pad(image, [1] * 4, mode="replicate"), image.shape[-2:]
+    mixed = torch.zeros_like(image)
+    for place in range(9):
+        row, column = divmod(place, 3)
+        mixed = mixed + shares[:, place, None] * padded[..., row : row + height, column : column + width]
+    return mixed

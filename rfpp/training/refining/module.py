@@ -1,0 +1,64 @@
+"""The LightningModule that trains a refinement."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import lightning as L
+import torch
+from torch import Tensor
+from torch.optim import Optimizer
+from torch.optim.lr_scheduler import LRScheduler
+
+from rfpp.imaging.radiance import log_encode
+from rfpp.losses.log_l1 import log_l1
+from rfpp.model.refinement import Refinement
+
+
+class RefinementModule(L.LightningModule):
+    """Minimises log-L1 of refined images; logs that of validation images, refined and not.
+
+    Args:
+        refinement: to be trained.
+        optimizer: parameters → optimizer.
+        schedule: optimizer → learning-rate schedule, stepped once per optimizer step.
+    """
+
+    def __init__(
+        self,
+        refinement: Refinement,
+        optimizer: Callable[[Iterable[torch.nn.Parameter]], Optimizer],
+        schedule: Callable[[Optimizer], LRScheduler],
+    ):
+        super().__init__()
+        self.refinement, self._optimizer, self._schedule = refinement, optimizer, schedule
+        #: log-L1 of each image of the last validation, refined and not.
+        self.errors: tuple[list[float], list[float]] = ([], [])
+
+    def forward(self, batch: dict[str, Tensor]) -> Tensor:
+        """[N, 3, H, W] linear radiance."""
+        refined: Tensor = self.refinement(batch["radiance"], batch["surfaces"], batch["fov"])
+        return refined
+
+    def training_step(self, batch: dict[str, Tensor], _: int) -> Tensor:
+        loss = log_l1(log_encode(self(batch)), batch["reference"])
+        self.log("train/loss", loss.detach(), prog_bar=True)
+        return loss
+
+    def on_validation_epoch_start(self) -> None:
+        self.errors = ([], [])
+
+    def validation_step(self, batch: dict[str, Tensor], _: int) -> None:
+        for errors, images in zip(self.errors, (self(batch), batch["radiance"]), strict=True):
+            pairs = zip(images, batch["reference"], strict=True)
+            errors += [log_l1(log_encode(image), reference).item() for image, reference in pairs]
+
+    def on_validation_epoch_end(self) -> None:
+        for name, errors in zip(("log_l1", "unrefined_log_l1"), self.errors, strict=True):
+            self.log(f"validation/{name}", sum(errors) / len(errors), prog_bar=name == "log_l1")
+
+    def configure_optimizers(self) -> dict[str, Any]:
+        optimizer = self._optimizer(self.refinement.parameters())
+        schedule = {"scheduler": self._schedule(optimizer), "interval": "step", "name": "learning_rate"}
+        return {"optimizer": optimizer, "lr_scheduler": schedule}
