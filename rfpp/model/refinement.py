@@ -48,11 +48,11 @@ class Refinement(nn.Module):
         super().__init__()
         fine, half, quarter = widths
         self.bound = bound
-        self.fine = nn.Sequential(_conv(_INPUTS, fine), nn.SiLU(), _conv(fine, fine), nn.SiLU())
-        self.half = nn.Sequential(_conv(fine, half), nn.SiLU(), _conv(half, half), nn.SiLU())
-        self.quarter = nn.Sequential(_conv(half, quarter), nn.SiLU(), _conv(quarter, quarter), nn.SiLU())
+        self.at_full = nn.Sequential(_conv(_INPUTS, fine), nn.SiLU(), _conv(fine, fine), nn.SiLU())
+        self.at_half = nn.Sequential(_conv(fine, half), nn.SiLU(), _conv(half, half), nn.SiLU())
+        self.at_quarter = nn.Sequential(_conv(half, quarter), nn.SiLU(), _conv(quarter, quarter), nn.SiLU())
         self.to_half = nn.Sequential(_conv(quarter + half, half), nn.SiLU())
-        self.to_fine = nn.Sequential(_conv(half + fine, fine), nn.SiLU())
+        self.to_full = nn.Sequential(_conv(half + fine, fine), nn.SiLU())
         self.out = nn.Conv2d(fine, 3 + 9, 1)
         nn.init.zeros_(self.out.weight)
         nn.init.zeros_(self.out.bias)
@@ -71,11 +71,11 @@ class Refinement(nn.Module):
         seen = torch.cat([_light(radiance), _surfaces(gbuffer, fov)], dim=1).contiguous(
             memory_format=torch.channels_last
         )
-        fine = self.fine(seen)
-        half = self.half(F.avg_pool2d(fine, 2, ceil_mode=True))
-        quarter = self.quarter(F.avg_pool2d(half, 2, ceil_mode=True))
+        fine = self.at_full(seen)
+        half = self.at_half(F.avg_pool2d(fine, 2, ceil_mode=True))
+        quarter = self.at_quarter(F.avg_pool2d(half, 2, ceil_mode=True))
         half = self.to_half(torch.cat([_enlarged(quarter, half), half], dim=1))
-        fine = self.to_fine(torch.cat([_enlarged(half, fine), fine], dim=1))
+        fine = self.to_full(torch.cat([_enlarged(half, fine), fine], dim=1))
         factors, weights = self.out(fine).float().split([3, 9], dim=1)
         with in_float32(radiance):
             return torch.exp(self.bound * torch.tanh(factors)) * _mixed(radiance.float(), weights)
