@@ -22,7 +22,7 @@ from hydra.utils import instantiate
 from lightning.pytorch.loggers import CSVLogger
 from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
-from torch.utils.data import DataLoader
+from torch.utils.data import DataLoader, RandomSampler
 
 from rfpp import Renderer
 from rfpp.checkpoint.loading import load_network
@@ -58,9 +58,8 @@ def main(cfg: DictConfig) -> Path:
             return RenderedViews(renderer, stored, samplings, cfg.seed, Path(plan.rendered), show)
 
     views, validation = rendered("train"), rendered("validation")
-    module = RefinementModule(
-        instantiate(cfg.refinement, _convert_="all"), *map(instantiate, (plan.optimizer, plan.schedule))
-    )
+    refinement = instantiate(cfg.refinement, _convert_="all")
+    module = RefinementModule(refinement, instantiate(plan.optimizer), instantiate(plan.schedule))
     trainer = instantiate(
         cfg.trainer,
         precision=training_precision(cfg.trainer.precision, cfg.trainer.accelerator, None),
@@ -70,9 +69,10 @@ def main(cfg: DictConfig) -> Path:
         _partial_=True,
     )(logger=CSVLogger(cfg.run_dir, name="", version=""), callbacks=[TrainingProgress(), TrainingLines(60.0)])
     write_config(cfg, Path(cfg.run_dir))
+    order = RandomSampler(views, num_samples=plan.steps * plan.images_per_step)  # of the whole run: there are no epochs
     trainer.fit(
         module,
-        DataLoader(AugmentedViews(views, cfg.seed), plan.images_per_step, shuffle=True, drop_last=True),
+        DataLoader(AugmentedViews(views, cfg.seed), plan.images_per_step, sampler=order),
         DataLoader(validation, plan.images_per_step),
     )
     console.print(_gain(*map(np.array, module.errors)))

@@ -64,10 +64,11 @@ class Refinement(nn.Module):
         """Linear radiance, corrected.
 
         Args:
-            radiance: linear, of any unit.
+            radiance: linear, of any unit; less than none is none.
             gbuffer: `channels` of pixels.
             fov: degrees along the longer image side.
         """
+        radiance = radiance.float().clamp_min(0)
         seen = torch.cat([_light(radiance), _surfaces(gbuffer, fov)], dim=1).contiguous(
             memory_format=torch.channels_last
         )
@@ -78,7 +79,7 @@ class Refinement(nn.Module):
         fine = self.to_full(torch.cat([_enlarged(half, fine), fine], dim=1))
         factors, weights = self.out(fine).float().split([3, 9], dim=1)
         with in_float32(radiance):
-            return torch.exp(self.bound * torch.tanh(factors)) * _mixed(radiance.float(), weights)
+            return torch.exp(self.bound * torch.tanh(factors)) * _mixed(radiance, weights)
 
 
 #: Image 3, albedo 3, specular 3, roughness, normal 3, size of a pixel, whether there is a surface.
