@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import cast
 
 import torch
 import torch.nn.functional as F
@@ -55,8 +56,7 @@ class Refinement(nn.Module):
         self.to_full = nn.Sequential(_conv(half + fine, fine), nn.SiLU())
         self.out = nn.Conv2d(fine, 3 + 9, 1)
         nn.init.zeros_(self.out.weight)
-        nn.init.zeros_(self.out.bias)
-        self.to(memory_format=torch.channels_last)
+        nn.init.zeros_(cast(Tensor, self.out.bias))
 
     def forward(
         self, radiance: Float[Tensor, "n 3 h w"], gbuffer: Float[Tensor, "n 13 h w"], fov: Float[Tensor, " n"]
