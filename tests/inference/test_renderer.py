@@ -49,7 +49,7 @@ def test_a_picture_that_is_not_finite_is_an_error_that_says_why(scene):
 
 def test_and_so_is_one_of_a_scene_that_overflows(scene, monkeypatch):
     bright = Renderer(network(), checkpoint_info())
-    monkeypatch.setattr(bright, "_decode", lambda *args: np.full((16, 16, 3), np.inf, np.float32))
+    monkeypatch.setattr(bright, "_decode", lambda *args, **others: np.full((16, 16, 3), np.inf, np.float32))
     with pytest.raises(UserError, match=r"pixels are not finite: its lights, its sizes"):
         bright.render(scene)
 
