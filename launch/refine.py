@@ -13,6 +13,7 @@ import rfpp.interrupts  # noqa: F401 (first: what follows takes seconds to impor
 # isort: split
 import logging
 import warnings
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -75,7 +76,7 @@ def main(cfg: DictConfig) -> Path:
         DataLoader(AugmentedViews(views, cfg.seed), plan.images_per_step, sampler=order),
         DataLoader(validation, plan.images_per_step),
     )
-    console.print(_gain(*map(np.array, module.errors)))
+    console.print(_gain(*module.errors, [file for file, _ in validation.views]))
 
     network, info = load_network(cfg.checkpoint)
     network.refinement = refinement
@@ -90,11 +91,13 @@ def main(cfg: DictConfig) -> Path:
     return folder
 
 
-def _gain(refined: np.ndarray, unrefined: np.ndarray) -> str:
-    """What refinement is worth on validation images, with the 95% interval of the mean paired difference."""
-    share = (refined - unrefined) / unrefined.mean()
+def _gain(refined: Sequence[float], unrefined: Sequence[float], scenes: Sequence[Path]) -> str:
+    """What refinement is worth on validation images, with the 95% interval over scenes of the paired difference."""
+    _, scene = np.unique(scenes, return_inverse=True)
+    now, before = (np.bincount(scene, errors) / np.bincount(scene) for errors in (refined, unrefined))
+    share = (now - before) / before.mean()
     interval = 1.96 * share.std(ddof=1) / np.sqrt(len(share))
-    return f"Validation log-L1 {unrefined.mean():.5f} → {refined.mean():.5f} ({share.mean():+.1%} ± {interval:.1%})"
+    return f"Validation log-L1 {before.mean():.5f} → {now.mean():.5f} ({share.mean():+.1%} ± {interval:.1%})"
 
 
 if __name__ == "__main__":

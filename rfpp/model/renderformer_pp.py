@@ -152,11 +152,11 @@ class RenderFormerPP(nn.Module):
         to_decoder = gbuffer[:, :, : sum(SIZES[name] for name in self.decoder.gbuffer_channels)]
         radiance = self.decoder(scenes.tokens, c2w, fov, to_decoder, scenes.exposure, supersampling, stride)
         if refined:
-            surfaces = self.surfaces(gbuffer.flatten(0, 1), supersampling)
+            surfaces = self._surfaces(gbuffer.flatten(0, 1), supersampling)
             radiance = self.refinement(radiance.flatten(0, 1), surfaces, fov.flatten()).view_as(radiance)
         return log_encode(scenes.exposure[:, None, None, None, None] * radiance)
 
-    def surfaces(self, gbuffer: Float[Tensor, "n c h w"], supersampling: int) -> Float[Tensor, "n _ height width"]:
+    def _surfaces(self, gbuffer: Float[Tensor, "n c h w"], supersampling: int) -> Float[Tensor, "n _ height width"]:
         """What the refinement reads of N views' G-buffers (`gbuffer_channels`): means over pixels."""
         no_light = gbuffer.new_ones(len(gbuffer))
         of_points = ViewChannels(gbuffer, self.gbuffer_channels, no_light)

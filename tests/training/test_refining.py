@@ -1,6 +1,5 @@
 """launch/refine.py and what it is made of: a network's images learn from references, and the network stays as it is."""
 
-import numpy as np
 import pytest
 import torch
 from hydra import compose, initialize_config_dir
@@ -66,6 +65,14 @@ class TestRenderedViews:
         with pytest.raises(UserError, match=f"{file.name}: is damaged: delete it"):
             rendered(kept, tmp_path)
 
+    def test_so_is_one_with_a_flipped_byte(self, kept, tmp_path):
+        views = rendered(kept, tmp_path)
+        content = bytearray(views.files[0].read_bytes())
+        content[200] ^= 1
+        views.files[0].write_bytes(content)
+        with pytest.raises(UserError, match=f"{views.files[0].name}: is damaged: delete it"):
+            views[0]
+
 
 def test_augmented_views_show_the_same_surfaces_in_other_colours_or_mirrored():
     generator = torch.Generator().manual_seed(0)
@@ -106,5 +113,4 @@ def test_the_command_refines_a_network_and_leaves_the_rest_of_it_as_it_was(kept,
     _, info = load_network(folder)
     assert info.method.endswith(", refined")
     assert "60 steps on 8 images of" in (folder / "README.md").read_text()
-    sample = ShardSplit(kept / "grey", "validation").read(0)
-    assert np.isfinite(sample.images).all() and (tmp_path / "run" / "metrics.csv").is_file()
+    assert (tmp_path / "run" / "metrics.csv").is_file()

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import io
 import zipfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from hashlib import blake2b
 from pathlib import Path
 
@@ -42,7 +43,7 @@ class RenderedViews(Dataset):
         progress: called with (scenes rendered, scenes).
 
     Raises:
-        UserError: files cannot be written.
+        UserError: files cannot be written, or one is damaged.
         ShardError: like `ShardSplit`.
     """
 
@@ -75,7 +76,7 @@ class RenderedViews(Dataset):
     def __getitem__(self, number: int) -> dict[str, Tensor]:
         """`radiance` and `reference` [3, H, W] linear, `surfaces` [13, H, W] of `Refinement.channels`, `fov` []."""
         file, view = self.views[number]
-        with np.load(file, allow_pickle=False) as stored:
+        with _opened(file) as stored:
             return {name: torch.from_numpy(stored[f"{name}_{view}"].astype(np.float32)) for name in _NAMES}
 
 
@@ -110,11 +111,18 @@ def _rendered(
 
 
 def _views(file: Path) -> int:
-    """How many views a file holds. Raises UserError where it is none of ours."""
+    """How many views a file holds."""
+    with _opened(file) as stored:
+        return len(stored.files) // len(_NAMES)
+
+
+@contextmanager
+def _opened(file: Path) -> Iterator[np.lib.npyio.NpzFile]:
+    """Raises UserError where the file is none of ours, at once or when it is read."""
     try:
         with np.load(file, allow_pickle=False) as stored:
-            return len(stored.files) // len(_NAMES)
-    except (OSError, ValueError, zipfile.BadZipFile):
+            yield stored
+    except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile):
         raise UserError(f"{file}: is damaged: delete it, and it is rendered again") from None
 
 
