@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from hashlib import blake2b
 from pathlib import Path
@@ -63,7 +63,7 @@ def measure(
     checkpoint: str,
     exhibits: Sequence[SceneFile | SampledScene],
     resolution: int,
-    light_samples: Sequence[int],
+    samplings: Sequence[Mapping[str, int]],
     samples: Sequence[int],
     rounds: int,
     cycles: CyclesSettings,
@@ -78,7 +78,7 @@ def measure(
 
     Args:
         checkpoint: see `rfpp.checkpoint.loading.load_network`.
-        light_samples: of the network's methods, see `Renderer.render`.
+        samplings: of the network's methods: `light_samples` and `supersampling` of `Renderer.render`.
         samples: of Cycles' methods.
         rounds: how often all are timed.
         cycles: its settings but for the samples.
@@ -89,7 +89,7 @@ def measure(
     """
     renderer, scenes = Renderer.load(checkpoint), [exhibit.scene() for exhibit in exhibits]
     truths = [_reference(scene, resolution, converged, Path(kept))[0] for scene in scenes]
-    methods: dict[str, Method] = {f"{_NETWORK} {count}": ByNetwork(renderer, count) for count in light_samples}
+    methods: dict[str, Method] = {_named(sampling): ByNetwork(renderer, sampling) for sampling in samplings}
     methods |= {f"Cycles {count}": ByCycles(replace(cycles, samples=count)) for count in samples}
     taken: dict[str, list[list[Taken]]] = {name: [] for name in methods}
     turns = (rounds + 1) * len(methods)
@@ -118,6 +118,10 @@ def measure(
                 **(_of_film(*films[place], true_films[place]) if film else {}),
             }
         progress(rounds * len(methods) + number + 1, turns)
+
+
+def _named(sampling: Mapping[str, int]) -> str:
+    return f"{_NETWORK} {sampling['light_samples']} of {sampling['supersampling'] ** 2}"
 
 
 def _of_film(frames: Float[np.ndarray, "v h w 3"], seconds: float, truth: Float[np.ndarray, "v h w 3"]) -> Row:
@@ -175,24 +179,24 @@ class Method(ABC):
 class ByNetwork(Method):
     """Attributes:
     renderer: of the network; every scene gets one that has seen nothing yet.
-    light_samples: shadow rays per light and pixel.
+    sampling: `light_samples` and `supersampling` of `Renderer.render`.
     """
 
     renderer: Renderer
-    light_samples: int
+    sampling: Mapping[str, int]
 
     @property
     def samples(self) -> dict[str, int]:
-        return {"light_samples": self.light_samples, "samples": 0}
+        return {**self.sampling, "samples": 0}
 
     def pictures(self, scenes: Sequence[PackedScene], resolution: int) -> list[Taken]:
-        self.renderer.render(scenes[-1], resolution)  # wakes it up
+        self.renderer.render(scenes[-1], resolution, **self.sampling)  # wakes it up
         taken = []
         for scene in scenes:
             fresh, images, seconds = self._fresh(), [], []
             for situation in _situations(scene):
                 begin = time.perf_counter()
-                images.append(fresh.render(situation, resolution, light_samples=self.light_samples)[0])
+                images.append(fresh.render(situation, resolution, **self.sampling)[0])
                 seconds.append(time.perf_counter() - begin)
             taken.append(Taken(images[0], tuple(seconds)))
         return taken
@@ -201,7 +205,7 @@ class ByNetwork(Method):
         films = []
         for arc in arcs:
             fresh, begin = self._fresh(), time.perf_counter()
-            films.append((fresh.render(arc, resolution, light_samples=self.light_samples), time.perf_counter() - begin))
+            films.append((fresh.render(arc, resolution, **self.sampling), time.perf_counter() - begin))
         return films
 
     def _fresh(self) -> Renderer:
@@ -218,7 +222,7 @@ class ByCycles(Method):
 
     @property
     def samples(self) -> dict[str, int]:
-        return {"light_samples": 0, "samples": self.settings.samples}
+        return {"light_samples": 0, "supersampling": 0, "samples": self.settings.samples}
 
     def pictures(self, scenes: Sequence[PackedScene], resolution: int) -> list[Taken]:
         asked = [scenes[-1], *(situation for scene in scenes for situation in _situations(scene))]

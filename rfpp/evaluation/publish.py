@@ -19,8 +19,8 @@ from rfpp.evaluation.measuring.records import MODEL
 from rfpp.inference.renderer import Renderer
 
 DESCRIPTION = """\
-Writes the best checkpoint of a training as safetensors in bfloat16, its configuration, and a model card with every
-evaluation that lies in the run's folder, the trivial baselines beside the network."""
+Writes the best checkpoint of a training, or what launch/refine.py made, as safetensors in bfloat16, its configuration,
+and a model card with every evaluation that lies in the run's folder, the trivial baselines beside the network."""
 EXAMPLE = "example: python -m rfpp.evaluation.publish data/runs/quickstart/latest data/models/mine --notes limits.md"
 
 
@@ -28,14 +28,15 @@ def publish(run: Path, folder: Path, notes: str = "") -> Path:
     """Write `folder`; returns it.
 
     Args:
-        run: folder of a training that was evaluated.
+        run: folder of a training that was evaluated, or of a refinement.
         notes: Markdown for the card: what the network cannot do.
 
     Raises:
-        CheckpointError: the run has no checkpoint that loads.
+        CheckpointError: the run has no network that loads.
         UserError: there is no evaluation, one is of another network, or the folder cannot be written.
     """
-    renderer = Renderer.load(run / "checkpoints" / "best.ckpt", "cpu", "bf16")
+    refined, best = run / "refined", run / "checkpoints" / "best.ckpt"
+    renderer = Renderer.load(refined if refined.is_dir() else best, "cpu", "bf16")
     evaluations = read_evaluations([run])
     for evaluation in evaluations:
         _require_same(renderer.info, evaluation)
@@ -80,7 +81,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         epilog=EXAMPLE,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("run", type=Path, help="folder of a training, as launch/train.py made it")
+    parser.add_argument("run", type=Path, help="folder of a run, as launch/train.py or launch/refine.py made it")
     parser.add_argument("folder", type=Path, help="folder to write")
     parser.add_argument("--notes", type=Path, metavar="FILE", help="Markdown for the card: what it cannot do")
     chosen = parser.parse_args(arguments)

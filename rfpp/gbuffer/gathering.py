@@ -26,6 +26,7 @@ def with_cells(
     cells: CellMap,
     seed: int = 0,
     traced: bool = False,
+    rays: int = CELL_RAYS,
 ) -> GBuffer:
     """The same G-buffer with the cells that its pixels see.
 
@@ -37,6 +38,7 @@ def with_cells(
         cells: of the scene.
         seed: of the rays' displacement from pixel to pixel; the same seed gives the same numbers.
         traced: whether it is wanted where the light of the first bounce comes from.
+        rays: that are cast for each pixel and lobe, a divisor of CELL_RAYS: with fewer, each counts more than once.
     """
     points = gbuffer.points
     height, width = (side // points for side in gbuffer.depth.shape)
@@ -48,12 +50,17 @@ def with_cells(
     bounced = np.zeros((height * width, 3), np.float32)
     key = int(np.random.default_rng(seed).integers(1 << 62))
     trace = Trace.of(height * width, CELL_RAYS if traced else 0)
-    image = (of_image, point_of, width, key, *seen, bounced, trace)
+    image = (of_image, point_of, width, rays, key, *seen, bounced, trace)
     over_rows(height * width, cells_seen, sampler.scene, cells.table, *image)
 
     def at_points(of_pixels: np.ndarray) -> np.ndarray:
         return of_pixels.reshape(height, width, -1).repeat(points, axis=0).repeat(points, axis=1)
 
     diffuse, glossy, diffuse_onward, glossy_onward = map(at_points, seen)
-    rays = (diffuse, glossy, diffuse_onward, glossy_onward)
-    return replace(gbuffer, cells=SeenCells(*rays, at_points(bounced), trace if traced else None))
+    ends = (diffuse, glossy, diffuse_onward, glossy_onward)
+    return replace(gbuffer, cells=SeenCells(*ends, at_points(bounced), trace if traced else None))
+
+
+def rays_beside(light_samples: int) -> int:
+    """Rays of a pixel and lobe to cells that go with so many light samples: as many, but a divisor of CELL_RAYS."""
+    return min(1 << (light_samples.bit_length() - 1), CELL_RAYS)

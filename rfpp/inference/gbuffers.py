@@ -23,7 +23,7 @@ from rfpp.gbuffer.first_hit import (
     first_hit,
     stack_channels,
 )
-from rfpp.gbuffer.gathering import with_cells
+from rfpp.gbuffer.gathering import rays_beside, with_cells
 from rfpp.gbuffer.known_light import with_known_light
 from rfpp.gbuffer.light_sampler import LightSampler
 from rfpp.gbuffer.object_light import object_light
@@ -114,7 +114,8 @@ class GBufferSource:
                 gbuffer = with_known_light(gbuffer, *seen, lights(), light_samples, **how)
             if self._wants((*CELL_CHANNELS, BOUNCED_LIGHT)):
                 cells = self._cells(triangles, geometry, light)[1]
-                gbuffer = with_cells(gbuffer, *seen, lights(), cells, traced=traced)
+                rays = rays_beside(light_samples * points**2)
+                gbuffer = with_cells(gbuffer, *seen, lights(), cells, traced=traced, rays=rays)
             return gbuffer
 
         return of_view

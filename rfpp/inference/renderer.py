@@ -123,8 +123,8 @@ class Renderer:
             scene: what to render.
             resolution: pixels, a number for square images or (height, width); None is the training resolution.
             cameras: None renders the scene's own.
-            light_samples: shadow rays per light and pixel, and rays into reflections, for networks that are given
-                direct light or reflections.
+            light_samples: shadow rays per light and pixel, rays into reflections, and up to four rays to cells, for
+                networks that are given direct light, reflections or cells.
             supersampling: points along each side of a pixel at which such networks' images are shaded, which smooths
                 outlines; the samples are divided among them.
             token_resolution: at least so many pixels along the longer side are what such networks' ray tokens and image

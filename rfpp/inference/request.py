@@ -45,7 +45,7 @@ class Request(Strict):
         triangles, up, transparent, backdrop: of `load_scene`.
         layers: G-buffer channels for the EXR.
         exposure: stops.
-        light_samples: shadow rays per light and pixel, and rays into reflections.
+        light_samples: shadow rays per light and pixel, rays into reflections, and up to four to cells.
         supersampling: points along each side of a pixel.
         token_resolution: of the image as ray tokens see it, or None for what is usual.
         lights, bounces: whether those of a scene, or of its light, stand in layers of their own, too.

@@ -54,7 +54,7 @@ def test_a_row_for_each_scene_and_method_and_references_are_rendered_once(tmp_pa
                 str(tmp_path / "net"),
                 [SceneFile("six", path)],
                 16,
-                [16],
+                [{"light_samples": 16, "supersampling": 1}],
                 [1, 8],
                 1,
                 REFERENCE,
@@ -66,7 +66,8 @@ def test_a_row_for_each_scene_and_method_and_references_are_rendered_once(tmp_pa
         )
 
     measured = rows()
-    assert [(row["method"], row["samples"]) for row in measured] == [("rfpp 16", 0), ("Cycles 1", 1), ("Cycles 8", 8)]
+    rows_of = [(row["method"], row["samples"]) for row in measured]
+    assert rows_of == [("rfpp 16 of 1", 0), ("Cycles 1", 1), ("Cycles 8", 8)]
     assert turns == [(n, 6) for n in range(1, 7)]
     assert all(row[name] > 0 for row in measured for name in ("first_s", "view_s", "edit_s", "frame_s"))
     assert measured[2]["log_l1"] < measured[1]["log_l1"]  # more samples, less noise

@@ -67,3 +67,13 @@ def test_what_is_missing_is_named(run, tmp_path):
 def test_by_hand(run, tmp_path):
     assert publish(run, tmp_path / "toy") == tmp_path / "toy"
     assert "What it cannot do" not in (tmp_path / "toy" / "README.md").read_text()
+
+
+def test_a_refinement_is_published_instead_of_what_it_refines(run, tmp_path):
+    refined = Renderer.load(run / "checkpoints" / "best.ckpt", "cpu", "fp32")
+    with torch.no_grad():
+        next(refined.network.decoder.head.parameters()).mul_(2)
+    refined.save(run / "refined")
+    published = Renderer.load(publish(run, tmp_path / "toy"), "cpu", "bf16")
+    expected = Renderer.load(run / "refined", "cpu", "bf16")
+    np.testing.assert_array_equal(published.render(scene()), expected.render(scene()))

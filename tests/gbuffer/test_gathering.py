@@ -10,7 +10,7 @@ from slow_light import direct_light
 from rfpp.gbuffer.cell_finding import find_cells
 from rfpp.gbuffer.cell_table import NOWHERE
 from rfpp.gbuffer.first_hit import CELL_RAYS, SeenCells, first_hit
-from rfpp.gbuffer.gathering import with_cells
+from rfpp.gbuffer.gathering import rays_beside, with_cells
 from rfpp.gbuffer.light_sampler import LightSampler
 from rfpp.gbuffer.ray_ends import follow_rays
 from rfpp.gbuffer.raycast import RayCaster
@@ -20,12 +20,14 @@ from rfpp.scene.triangles import SceneTriangles
 FOV, SIDE = 40.0, 32
 
 
-def seen_by(scene: SceneTriangles, camera: np.ndarray, points: int = 1, seed: int = 0) -> tuple[SeenCells, np.ndarray]:
+def seen_by(
+    scene: SceneTriangles, camera: np.ndarray, points: int = 1, seed: int = 0, rays: int = CELL_RAYS
+) -> tuple[SeenCells, np.ndarray]:
     """The cells that pixels of a picture see, and the object of each cell, -1 for the last."""
     sampler = LightSampler(scene)
     cells, places = find_cells(sampler)
     gbuffer = first_hit(scene, camera, FOV, points * SIDE, points * SIDE, points=points)
-    seen = with_cells(gbuffer, camera, FOV, sampler, places, seed).cells
+    seen = with_cells(gbuffer, camera, FOV, sampler, places, seed, rays=rays).cells
     return seen, np.append(cells.octant // 8, NOWHERE)
 
 
@@ -67,6 +69,32 @@ def test_points_of_a_pixel_share_its_rays():
         np.testing.assert_array_equal(lobe[::2, ::2], lobe[1::2, 1::2])
     shares = [(owner[cells.diffuse] == 1).mean() for cells in (whole, finer)]
     assert shares[0] == pytest.approx(shares[1], rel=0.15) and shares[0] > 0.01
+
+
+@pytest.mark.parametrize("rays", [1, 2])
+def test_fewer_rays_count_more_than_once_and_see_as_much(rays):
+    scene = pack((square(1.0), material(0.5, specular=0.3)), (sphere(0.2, (0, 0, 0.3)), material(0.5, specular=0.3)))
+    (few, owner), (many, _) = (seen_by(scene, look_at((0, -1.5, 0.8)), rays=n) for n in (rays, CELL_RAYS))
+    for name, cells in few.rays.items():
+        np.testing.assert_array_equal(cells[..., rays:], cells[..., :-rays])
+        # glossy rays are some that their lobe has not absorbed
+        shares = [(owner[seen] == 1).mean() for seen in (cells, many.rays[name])]
+        assert shares[0] == pytest.approx(shares[1], rel=0.2, abs=2e-3)
+    assert (few.diffuse[..., 0] != few.diffuse[..., rays - 1]).any() == (rays > 1)
+
+
+@pytest.mark.parametrize("rays", [1, 2])
+def test_fewer_rays_bring_as_much_light(rays):
+    camera = look_at((-1.2, 0, 0.4), (0.1, 0, 0))
+    few, many = (
+        np.mean([seen_by(lit_wall(), camera, seed=seed, rays=n)[0].bounced for seed in range(60)])
+        for n in (rays, CELL_RAYS)
+    )
+    assert few == pytest.approx(many, rel=0.05) and many > 0
+
+
+def test_rays_go_with_the_samples_of_lights():
+    assert [rays_beside(n) for n in (1, 2, 3, 4, 5, 16, 100)] == [1, 2, 2, 4, 4, 4, 4]
 
 
 def test_pixels_at_an_outline_send_as_many_rays_as_others():
