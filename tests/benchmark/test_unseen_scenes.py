@@ -1,0 +1,74 @@
+"""Networks on stored scenes beside radiosity that learns nothing."""
+
+import numpy as np
+import pytest
+import torch
+from networks import checkpoint_info, model_config, network
+from random_vgg import random_trunk
+from small_data import Constant, make
+
+from rfpp import Renderer
+from rfpp.benchmark.unseen_scenes import ByRadiosity, StoredScenes, measure
+from rfpp.evaluation.measuring.confidence import Bootstrap
+from rfpp.scene.packed import PackedScene
+from rfpp.shards.dataset import ShardSplit
+
+LINEAR = "experiment=quickstart"
+
+
+@pytest.fixture(scope="module")
+def kept(tmp_path_factory):
+    """A folder with weights for LPIPS, a data set whose images are grey, and two networks, one of which adds light."""
+    folder = tmp_path_factory.mktemp("unseen")
+    torch.save(random_trunk(), folder / "vgg.pth")
+    make(folder / "grey", render=Constant(0.3), resolution=16, splits={"validation": 2, "test": 3})
+    untrained, info = network(LINEAR), checkpoint_info(model_config(LINEAR), resolution=(16, 16))
+    Renderer(untrained, info).save(folder / "untrained")
+    with torch.no_grad():
+        untrained.decoder.shading.keys.weight.normal_()
+        list(untrained.decoder.head.parameters())[-1].fill_(5.0)
+    Renderer(untrained, info).save(folder / "brighter")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def rows(kept):
+    sets = [StoredScenes(split, str(kept / "grey"), split) for split in ("validation", "test")]
+    turns = []
+    names = [str(kept / name) for name in ("untrained", "brighter")]
+    measured = measure(names, sets, Bootstrap(200, 0), lambda *turn: turns.append(turn), kept / "vgg.pth")
+    found = {(row["data"], row["method"].split("/")[-1]): row for row in measured}
+    assert turns == [(n, 5) for n in range(1, 6)]
+    return found
+
+
+def test_a_row_for_each_set_and_method(rows):
+    methods = ("unlearned radiosity", "untrained", "brighter")
+    assert list(rows) == [(split, method) for split in ("validation", "test") for method in methods]
+    assert [row["scenes"] for row in rows.values()] == [2] * 3 + [3] * 3
+
+
+def test_a_network_that_has_learned_nothing_is_radiosity(rows):
+    for split in ("validation", "test"):
+        radiosity, untrained = rows[split, "unlearned radiosity"], rows[split, "untrained"]
+        for metric in ("log_l1", "lpips", "flip", "ssim"):
+            assert radiosity[f"{metric}_change"] == 0
+            assert untrained[metric] == pytest.approx(radiosity[metric], rel=0.02, abs=1e-4)
+
+
+def test_changes_are_paired_and_relative_to_radiosity(rows):
+    for split in ("validation", "test"):
+        radiosity, brighter = rows[split, "unlearned radiosity"], rows[split, "brighter"]
+        change = brighter["log_l1"] / radiosity["log_l1"] - 1
+        assert brighter["log_l1_change"] == pytest.approx(change) and abs(change) > 1e-4
+        assert brighter["log_l1_change_low"] <= change <= brighter["log_l1_change_high"]
+        assert brighter["log_l1_low"] <= brighter["log_l1"] <= brighter["log_l1_high"]
+
+
+def test_radiosity_renders_every_view(kept):
+    sample = ShardSplit(kept / "grey", "test").read(0, None, ())
+    scene = PackedScene(sample.key, sample.triangles, sample.c2w, sample.fov)
+    images = ByRadiosity()(scene, (16, 16))
+    assert images.shape == (2, 16, 16, 3) and (images >= 0).all()
+    np.testing.assert_allclose(images[1:], ByRadiosity()(scene.views([1]), (16, 16)))
+    assert not np.allclose(images[0], images[1])
