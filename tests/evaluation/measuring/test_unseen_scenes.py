@@ -8,8 +8,8 @@ from random_vgg import random_trunk
 from small_data import Constant, make
 
 from rfpp import Renderer
-from rfpp.benchmark.unseen_scenes import ByRadiosity, StoredScenes, measure
 from rfpp.evaluation.measuring.confidence import Bootstrap
+from rfpp.evaluation.measuring.unseen_scenes import ByRadiosity, StoredScenes, measure
 from rfpp.scene.packed import PackedScene
 from rfpp.shards.dataset import ShardSplit
 
