@@ -44,11 +44,15 @@ class LightMixer:
         self._apart: BoundedCache[_Apart] = BoundedCache(max_bytes)
         self._before: OrderedDict[bytes, bytes] = OrderedDict()
 
-    def image(self, scene: PackedScene, size: Size) -> Image:
-        """Linear radiance of a scene with one camera; to rounding that of `Renderer.views`."""
+    def image(self, scene: PackedScene, size: Size, **sampling: int) -> Image:
+        """Linear radiance of a scene with one camera; to rounding that of `Renderer.views`.
+
+        Args:
+            sampling: of `Renderer.render`, while no light has changed; lights apart have the usual.
+        """
         emitted = _emitted(scene)
         if emitted is None:  # a light of several colours is no factor times a white one
-            return next(self.renderer.views(scene, size))
+            return next(self.renderer.views(scene, size, **sampling))
         view, lights = _view(scene, size), emitted.tobytes()
         apart = self._apart.get(view)
         if apart is None and self._before.get(view, lights) != lights:
@@ -60,7 +64,7 @@ class LightMixer:
         self._before[view] = lights
         if len(self._before) > _REMEMBERED:
             self._before.popitem(last=False)
-        return next(self.renderer.views(scene, size))
+        return next(self.renderer.views(scene, size, **sampling))
 
     def ready(self, scene: PackedScene, size: Size) -> bool:
         """Whether `image` has nothing to render."""

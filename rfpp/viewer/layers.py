@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float, UInt8
@@ -18,6 +18,8 @@ from rfpp.scene.packed import PackedScene
 
 Picture = UInt8[np.ndarray, "h w 3"]
 Size = tuple[int, int]
+#: Of `Renderer.render`: twice as fast as usual, with more noise and rougher outlines.
+_DRAFT = {"light_samples": 1, "supersampling": 1}
 
 
 class Layer(ABC):
@@ -31,6 +33,11 @@ class Layer(ABC):
         """Whether `picture` has nothing to compute but sums."""
         return False
 
+    @property
+    def in_motion(self) -> Layer:
+        """The same in a faster way, for pictures that are over at once; itself where there is none."""
+        return self
+
 
 @dataclass(frozen=True)
 class Rendered(Layer):
@@ -38,24 +45,39 @@ class Rendered(Layer):
 
     Attributes:
         transports: how often its operator moves light; None: as often as it was trained for.
+        draft: of fewer samples, which such networks have whose pixels are shaded.
     """
 
     renderer: Renderer
     transports: int | None = None
+    draft: bool = False
 
     def picture(self, scene: PackedScene, size: Size, tone_map: ToneMap) -> Picture:
-        [radiance] = self.renderer.views(scene, size, transports=self.transports)
+        [radiance] = self.renderer.views(scene, size, transports=self.transports, **(_DRAFT if self.draft else {}))
         return tone_map(radiance)
+
+    @property
+    def in_motion(self) -> Rendered:
+        return replace(self, draft=self.renderer.network.shades_points)
 
 
 @dataclass(frozen=True)
 class Mixed(Layer):
-    """What a network renders that is linear in lights: those are dimmed and coloured without running it again."""
+    """What a network renders that is linear in lights: those are dimmed and coloured without running it again.
+
+    Attributes:
+        draft: see `Rendered`.
+    """
 
     mixer: LightMixer
+    draft: bool = False
 
     def picture(self, scene: PackedScene, size: Size, tone_map: ToneMap) -> Picture:
-        return tone_map(self.mixer.image(scene, size))
+        return tone_map(self.mixer.image(scene, size, **(_DRAFT if self.draft else {})))
+
+    @property
+    def in_motion(self) -> Mixed:
+        return replace(self, draft=self.mixer.renderer.network.shades_points)
 
     def at_once(self, scene: PackedScene, size: Size) -> bool:
         return self.mixer.ready(scene, size)

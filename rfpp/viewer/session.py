@@ -75,7 +75,7 @@ class Drawn:
 
 
 class Session:
-    """Draws the newest view of one visitor: small while it changes, in full once it rests.
+    """Draws the newest view of one visitor: small and as a draft while it changes, in full once it rests.
 
     Args:
         renderer: shared by all visitors.
@@ -127,34 +127,35 @@ class Session:
         return self._packed[1].seen_by([view.camera])
 
     def _draw_on(self) -> None:
-        drawn, small = None, False
-        while (view := self._wanted(drawn, small)) is not None:
+        drawn, better = None, False
+        while (view := self._wanted(drawn, better)) is not None:
             full = size = self.pacing.size(view.longer_side, view.aspect)
+            layer = view.layer
             try:
-                if view is not drawn and not view.layer.at_once(self.packed(view), full):
-                    size = self.pacing.moving_size(view.longer_side, view.aspect)
-                self._show(self._draw(view, size, full))
+                if view is not drawn and not layer.at_once(self.packed(view), full):
+                    size, layer = self.pacing.moving_size(view.longer_side, view.aspect), layer.in_motion
+                self._show(self._draw(view, layer, size, full))
             except UserError as error:
                 self._complain(str(error))
-            drawn, small = view, size != full
+            drawn, better = view, size != full or layer != view.layer
 
-    def _wanted(self, drawn: View | None, small: bool) -> View | None:
-        """The next to be drawn: a new one, or, once it rests, one that was drawn small. None when the visitor left."""
+    def _wanted(self, drawn: View | None, better: bool) -> View | None:
+        """The next to be drawn: a new one, or, once it rests, one that can be drawn better. None: the visitor left."""
         with self._changed:
-            rest = _AT_REST_AFTER if small else None
+            rest = _AT_REST_AFTER if better else None
             self._changed.wait_for(lambda: self._closed or self._view is not drawn, rest)
             return None if self._closed else self._view
 
-    def _draw(self, view: View, size: tuple[int, int], full: tuple[int, int]) -> Drawn:
+    def _draw(self, view: View, layer: Layer, size: tuple[int, int], full: tuple[int, int]) -> Drawn:
         objects = self.renderer.objects
         with self._turn:
             before, begin = objects.encoded if objects else 0, time.perf_counter()
             scene = self.packed(view)
-            at_once = view.layer.at_once(scene, size)
-            picture = view.layer.picture(scene, size, view.tone_map)
+            at_once = layer.at_once(scene, size)
+            picture = layer.picture(scene, size, view.tone_map)
             seconds = time.perf_counter() - begin
             encoded = objects.encoded - before if objects else 0
-        if not at_once:  # which says nothing of what the next one takes
+        if not at_once and layer == layer.in_motion:  # others say nothing of what the next one in motion takes
             self.pacing.took(size, seconds)
         compared = bool(view.comparison and view.reference and view.reference.shows(view.scene, view.camera, full))
         if compared:

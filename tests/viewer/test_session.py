@@ -68,6 +68,22 @@ def test_an_image_in_motion_is_small_and_the_one_at_rest_is_not(renderer):
         assert [drawn.get(timeout=30).rendered for _ in range(2)] == [(64, 64), (96, 96)]
 
 
+def test_what_a_network_shades_is_a_draft_in_motion_and_in_full_at_rest():
+    linear = Renderer(network("experiment=quickstart"), checkpoint_info(resolution=(16, 16)))
+    view = view_of(linear)
+    with session(linear, view) as (visitor, drawn, _):
+        for number, camera in enumerate(view.scene.cameras[:2]):
+            if number:
+                visitor.change(camera=camera)
+            pictures = [drawn.get(timeout=60).picture for _ in range(2)]
+            of_camera = pack(view.scene).seen_by([camera])
+            draft = linear.render(of_camera, 16, light_samples=1, supersampling=1)[0]
+            np.testing.assert_array_equal(pictures[0], view.tone_map(draft))
+            np.testing.assert_array_equal(pictures[1], expected(linear, visitor.view))
+            assert (pictures[0] != pictures[1]).any()
+    assert drawn.empty()
+
+
 def test_lights_that_change_again_are_drawn_in_full_at_once():
     """Networks that are linear in lights have an image of each by then."""
     linear = Renderer(network("experiment=quickstart"), checkpoint_info(resolution=(16, 16)))
