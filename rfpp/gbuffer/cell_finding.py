@@ -112,11 +112,13 @@ class _Points:
 
     def normal(self, triangles: SceneTriangles) -> Float[np.ndarray, "r 3"]:
         """Of their side of the triangle."""
-        a, b, c = np.moveaxis(triangles.positions[self.triangle].astype(np.float64), 1, 0)
+        met = np.flatnonzero(np.bincount(self.triangle))  # many points lie on few triangles
+        a, b, c = np.moveaxis(triangles.positions[met].astype(np.float64), 1, 0)
         cross = np.cross(b - a, c - a)
-        side = np.where(self.back, -1.0, 1.0)[:, None]
-        unit: np.ndarray = cross / np.linalg.norm(cross, axis=-1, keepdims=True) * side
-        return unit
+        unit = np.zeros((len(triangles), 3))
+        unit[met] = cross / np.linalg.norm(cross, axis=-1, keepdims=True)
+        facing: np.ndarray = unit[self.triangle] * np.where(self.back, -1.0, 1.0)[:, None]
+        return facing
 
     def surface(self, triangles: SceneTriangles) -> Surface:
         """Seen from straight above."""
@@ -188,7 +190,7 @@ def _seen_points(
     """Up to _SEEN points of every cell that is kept, ends of rays or, where too few end, any; and their cells."""
     owner = np.concatenate([renumbered[of_ends], renumbered[cell]])
     later = np.repeat([0, 1], [len(of_ends), len(cell)])
-    order = np.lexsort([rng.random(len(owner)), later, owner])
+    order = np.argsort(2 * owner + later + rng.random(len(owner)))  # by cell, ends first, in any order
     order = order[owner[order] != NOWHERE]
     owner = owner[order]
     rank = np.arange(len(owner)) - np.searchsorted(owner, owner)

@@ -22,6 +22,7 @@ class BoundedCache(Generic[Value]):
         self.bytes = 0
         self._entries: OrderedDict[Hashable, tuple[Value, int]] = OrderedDict()
         self._lock = Lock()
+        self._making: dict[Hashable, Lock] = {}
 
     def __len__(self) -> int:
         return len(self._entries)
@@ -48,9 +49,19 @@ class BoundedCache(Generic[Value]):
                 self.bytes -= freed
 
     def recall(self, key: Hashable, size: int, make: Callable[[], Value]) -> Value:
-        """What is under a key; where nothing is, what `make` makes, which is kept."""
-        value = self.get(key)
-        if value is None:
-            value = make()
-            self.put(key, value, size)
-        return value
+        """What is under a key; where nothing is, what `make` makes, which is kept.
+
+        Threads that want the same wait for the one that makes it. `make` may recall other keys, never its own.
+        """
+        with self._lock:
+            making = self._making.setdefault(key, Lock())
+        try:
+            with making:
+                value = self.get(key)
+                if value is None:
+                    value = make()
+                    self.put(key, value, size)
+                return value
+        finally:
+            with self._lock:
+                self._making.pop(key, None)

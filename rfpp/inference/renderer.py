@@ -227,10 +227,10 @@ class Renderer:
         decode: Callable[[Encoded, View, Plan], Float[np.ndarray, "*n height width 3"]],
     ) -> Iterator[Float[np.ndarray, "*n height width 3"]]:
         """One view at a time, which bounds the memory; a thread casts the next one's rays meanwhile."""
-        batch = self.batch(plan.scene, light)
         cast = self.gbuffers.of(plan.scene, *plan.size, plan.samples, plan.points, light)
         with ThreadPoolExecutor(1, "gbuffer") as beside:
             upcoming = beside.submit(cast, 0)
+            batch = self.batch(plan.scene, light)
             encoded = encode(batch, plan, light)
             for view in range(batch.num_views):
                 gbuffer = upcoming.result()

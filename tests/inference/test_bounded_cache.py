@@ -1,5 +1,10 @@
 """What is kept, and what is forgotten first."""
 
+import threading
+from concurrent.futures import ThreadPoolExecutor
+
+import pytest
+
 from rfpp.inference.bounded_cache import BoundedCache
 
 
@@ -32,3 +37,26 @@ def test_what_is_there_is_not_made_again():
     for _ in range(2):
         assert cache.recall("a", 5, lambda: made.append(1) or "A") == "A"
     assert made == [1]
+
+
+def test_threads_that_want_the_same_wait_for_the_one_that_makes_it():
+    cache, made, go_on = BoundedCache(max_bytes=10), [], threading.Event()
+
+    def slowly():
+        made.append(1)
+        go_on.wait(10)
+        return "A"
+
+    with ThreadPoolExecutor(3) as pool:
+        wanted = [pool.submit(cache.recall, "a", 5, slowly) for _ in range(3)]
+        assert cache.recall("b", 5, lambda: "B") == "B", "others do not wait"
+        go_on.set()
+        assert [one.result(timeout=10) for one in wanted] == ["A"] * 3
+    assert made == [1]
+
+
+def test_what_could_not_be_made_is_tried_again():
+    cache = BoundedCache(max_bytes=10)
+    with pytest.raises(ZeroDivisionError):
+        cache.recall("a", 5, lambda: 1 / 0)
+    assert cache.recall("a", 5, lambda: "A") == "A"
