@@ -55,33 +55,54 @@ class JointWindow:
         self, light: Float[Tensor, "n 6 h w"], guides: Float[Tensor, "n 7 h w"], step: int
     ) -> Float[Tensor, "n 6 h w"]:
         """A window with the given stride between pixels."""
-        side = self.radius * step
-        around, guides_around = F.pad(light, [side] * 4), F.pad(guides, [side] * 4)
-        height, width = light.shape[-2:]
-        total, weights = torch.zeros_like(light), torch.zeros_like(light[:, :2])
-        offsets = range(-self.radius, self.radius + 1)
-        for dy, dx in product(offsets, offsets):
-            rows = slice(side + step * dy, side + step * dy + height)
-            columns = slice(side + step * dx, side + step * dx + width)
-            weight = self._weight(guides, guides_around[..., rows, columns], dy * dy + dx * dx)  # [N, 2, H, W]
-            total = total + weight.repeat_interleave(3, dim=1) * around[..., rows, columns]
-            weights = weights + weight
-        return total / weights.repeat_interleave(3, dim=1).clamp_min(1e-12)
+        side, (height, width) = self.radius * step, light.shape[-2:]
+        around = F.pad(light.unflatten(1, (2, 3)), [side] * 4)
+        guides_around = F.pad(guides, [side] * 4)
+        seen = guides_around[:, :3].square().sum(1, keepdim=True) > 0
+
+        def moved(of_all: Tensor, dy: int, dx: int) -> Tensor:
+            """What pixels find so many strides away, of an image with a margin."""
+            top, left = side + step * dy, side + step * dx
+            return of_all[..., top : top + height, left : left + width]
+
+        near = self._near(guides[:, 6])
+        weights = moved(seen, 0, 0) * torch.ones_like(near[0])
+        total = weights[:, :, None] * moved(around, 0, 0)
+        for dy, dx in self._half_window():
+            # how alike two pixels are does not depend on which of them asks
+            alike = self._alike(guides_around, step * dy, step * dx)
+            for sign, away in ((1, (0, 0)), (-1, (-dy, -dx))):
+                there = (sign * dy, sign * dx)
+                weight = moved(alike, *away) * moved(seen, *there) * near[dy * dy + dx * dx]
+                total = torch.addcmul(total, weight[:, :, None], moved(around, *there))
+                weights = weights + weight
+        return (total / weights[:, :, None].clamp_min(1e-12)).flatten(1, 2)
+
+    def _half_window(self) -> list[tuple[int, int]]:
+        """Offsets of the neighbours below, and of those to the right; the others are their opposites."""
+        across = range(-self.radius, self.radius + 1)
+        return [(dy, dx) for dy, dx in product(range(self.radius + 1), across) if (dy, dx) > (0, 0)]
 
     @torch.no_grad()
-    def _weight(
-        self, here: Float[Tensor, "n 7 h w"], there: Float[Tensor, "n 7 h w"], distance2: int
-    ) -> Float[Tensor, "n 2 h w"]:
-        """Of a neighbour, in either lobe; 0 where it is no surface."""
-        (normal, position, roughness), (its_normal, its_position, _) = (
-            x.split([3, 3, 1], dim=1) for x in (here, there)
-        )
+    def _near(self, roughness: Float[Tensor, "n h w"]) -> dict[int, Float[Tensor, "n 2 h w"]]:
+        """Weights of either lobe by the squared distance in pixels."""
+        glossy = self.SHARPEST + (self.spread - self.SHARPEST) * roughness
+        spreads = torch.stack([torch.full_like(glossy, self.spread), glossy], dim=1)
+        distances = {dy * dy + dx * dx for dy, dx in self._half_window()}
+        return {distance: torch.exp(-0.5 * distance / spreads.square()) for distance in (0, *distances)}
+
+    @torch.no_grad()
+    def _alike(self, guides: Float[Tensor, "n 7 h w"], dy: int, dx: int) -> Float[Tensor, "n 1 height w"]:
+        """Weights of pixels and those so far below (dy ≥ 0) and to the right of them, as far as there are any.
+
+        Of whole rows: 0 where there is none.
+        """
+        height, width = guides.shape[-2:]
+        left, right = max(-dx, 0), max(dx, 0)
+        here = guides[..., : height - dy, left : width - right]
+        there = guides[..., dy:, right : width - left]
+        (normal, position), (its_normal, its_position) = (x[:, :6].chunk(2, dim=1) for x in (here, there))
         way = its_position - position
         off_plane = torch.maximum((way * normal).sum(1).abs(), (way * its_normal).sum(1).abs()) / self.plane
         turned = (its_normal - normal).square().sum(1) / self.normal**2
-        seen = its_normal.square().sum(1) > 0
-        alike = torch.exp(-0.5 * (off_plane.square() + turned)) * seen
-        glossy = self.SHARPEST + (self.spread - self.SHARPEST) * roughness[:, 0]
-        spreads = torch.stack([torch.full_like(glossy, self.spread), glossy], dim=1)
-        weights: Tensor = alike[:, None] * torch.exp(-0.5 * distance2 / spreads.square())
-        return weights
+        return F.pad(torch.exp(-0.5 * (off_plane.square() + turned))[:, None], [left, right])
