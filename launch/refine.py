@@ -60,7 +60,8 @@ def main(cfg: DictConfig) -> Path:
 
     views, validation = rendered("train"), rendered("validation")
     refinement = instantiate(cfg.refinement, _convert_="all")
-    module = RefinementModule(refinement, instantiate(plan.optimizer), instantiate(plan.schedule))
+    parts = (instantiate(plan[name], _convert_="all") for name in ("loss", "optimizer", "schedule"))
+    module = RefinementModule(refinement, *parts)
     trainer = instantiate(
         cfg.trainer,
         precision=training_precision(cfg.trainer.precision, cfg.trainer.accelerator, None),

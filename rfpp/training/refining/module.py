@@ -17,10 +17,11 @@ from rfpp.model.refinement import Refinement
 
 
 class RefinementModule(L.LightningModule):
-    """Minimises log-L1 of refined images; logs that of validation images, refined and not.
+    """Minimises a loss of refined images; logs log-L1 of validation images, refined and not.
 
     Args:
         refinement: to be trained.
+        loss: of linear radiance and its reference.
         optimizer: parameters → optimizer.
         schedule: optimizer → learning-rate schedule, stepped once per optimizer step.
     """
@@ -28,11 +29,12 @@ class RefinementModule(L.LightningModule):
     def __init__(
         self,
         refinement: Refinement,
+        loss: Callable[[Tensor, Tensor], Tensor],
         optimizer: Callable[[Iterable[torch.nn.Parameter]], Optimizer],
         schedule: Callable[[Optimizer], LRScheduler],
     ):
         super().__init__()
-        self.refinement, self._optimizer, self._schedule = refinement, optimizer, schedule
+        self.refinement, self._loss, self._optimizer, self._schedule = refinement, loss, optimizer, schedule
         #: log-L1 of each image of the last validation, refined and not.
         self.errors: tuple[list[float], list[float]] = ([], [])
 
@@ -42,7 +44,7 @@ class RefinementModule(L.LightningModule):
         return refined
 
     def training_step(self, batch: dict[str, Tensor], _: int) -> Tensor:
-        loss = log_l1(log_encode(self(batch)), batch["reference"])
+        loss = self._loss(self(batch), batch["reference"])
         self.log("train/loss", loss.detach(), prog_bar=True)
         return loss
 
