@@ -22,7 +22,7 @@ class ExposedLogL1:
         weight: of each exposure; that of the image as it is is 1.
     """
 
-    def __init__(self, exposures: Sequence[float], weight: float):
+    def __init__(self, exposures: Sequence[float | int], weight: float):
         self.exposures, self.weight = exposures, weight
 
     def __call__(self, predicted: Float[Tensor, "n 3 h w"], reference: Float[Tensor, "n 3 h w"]) -> Float[Tensor, ""]:
