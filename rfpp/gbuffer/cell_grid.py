@@ -11,6 +11,7 @@ from jaxtyping import Float, Int
 
 from rfpp.gbuffer.cell_table import KEYS_OF_OCTANT, MOST_PIECES, SIDES, CellTable, keys_each
 from rfpp.gbuffer.threads import over_rows
+from rfpp.scene.camera import rotated
 from rfpp.scene.triangles import SceneTriangles
 
 #: Half an object is cut into so many pieces along an axis that they are about this long, in world units.
@@ -47,7 +48,7 @@ class CellGrid:
         parts = [triangles.positions[a:b].astype(np.float64) for a, b in pairwise(bounds)]
         placed = [principal_axes(part) for part in parts]
         centroid, axes = np.stack([c for c, _ in placed]), np.stack([a for _, a in placed])
-        reach = [np.abs((part.reshape(-1, 3) - c) @ a.T).max(0) for part, (c, a) in zip(parts, placed, strict=True)]
+        reach = [np.abs(rotated(part.reshape(-1, 3) - c, a)).max(0) for part, (c, a) in zip(parts, placed, strict=True)]
         half = np.stack(reach)
         pieces = np.clip(np.rint(half / CELL_EDGE), 1, MOST_PIECES).astype(np.int64)
         return cls(triangles, centroid, axes, half, pieces)

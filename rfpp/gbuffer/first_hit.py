@@ -14,7 +14,7 @@ from rfpp.gbuffer.compiled import compiled
 from rfpp.gbuffer.raycast import RayCaster
 from rfpp.gbuffer.traces import Trace
 from rfpp.gbuffer.vectors import normal_of
-from rfpp.scene.camera import pixel_plane, pixel_rays
+from rfpp.scene.camera import pixel_plane, pixel_rays, rotated
 from rfpp.scene.triangles import DIFFUSE, ROUGHNESS, SPECULAR, SceneTriangles
 
 #: Channels of direct light, in the units of `DirectLight`.
@@ -169,10 +169,10 @@ def first_hit(
     normal = np.zeros((len(seen), 3), np.float32)
     normal[seen] = facing_normals(triangles, triangle[seen], hits.barycentric[seen], directions[seen])
     forward = -c2w[:3, 2]
-    depth = np.where(seen, hits.distance, 0) * (directions @ forward)
+    depth = np.where(seen, hits.distance, 0) * np.einsum("rk,k->r", directions, forward)
     return GBuffer(
         triangle=triangle.reshape(height, width),
-        normal=(normal @ c2w[:3, :3]).astype(np.float32).reshape(height, width, 3),  # inverse rotation: row vectors
+        normal=rotated(normal, c2w[:3, :3].T).astype(np.float32).reshape(height, width, 3),
         depth=depth.astype(np.float32).reshape(height, width),
         points=points,
     )

@@ -13,6 +13,7 @@ from rfpp.gbuffer.compiled import compiled
 from rfpp.gbuffer.first_hit import GBuffer, camera_positions
 from rfpp.gbuffer.lit_scene import CLEARANCE
 from rfpp.gbuffer.vectors import GOLDEN, normal_of, tangents, triple
+from rfpp.scene.camera import rotated
 from rfpp.scene.triangles import DIFFUSE, ROUGHNESS, SPECULAR, SceneTriangles
 
 
@@ -89,8 +90,8 @@ class Surface:
     ) -> Surface:
         """The pixels of a G-buffer that hit something, row by row."""
         turn = c2w[:3, :3].astype(np.float64)
-        position = camera_positions(gbuffer.depth, fov, gbuffer.points)[gbuffer.hit] @ turn.T + c2w[:3, 3]
-        normal = gbuffer.normal[gbuffer.hit] @ turn.T
+        position = rotated(camera_positions(gbuffer.depth, fov, gbuffer.points)[gbuffer.hit], turn) + c2w[:3, 3]
+        normal = rotated(gbuffer.normal[gbuffer.hit], turn)
         return cls.at(triangles, gbuffer.triangle[gbuffer.hit], position, normal, c2w[:3, 3])
 
     def __len__(self) -> int:

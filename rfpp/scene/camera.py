@@ -51,9 +51,19 @@ def pixel_rays(
     """
     plane = pixel_plane(height, width, points).astype(np.float64) * math.tan(math.radians(fov_degrees) / 2)
     in_camera = np.concatenate([plane, np.full((height, width, 1), -1.0)], axis=-1)
-    directions = _unit(in_camera @ c2w[:3, :3].T.astype(np.float64))
+    directions = _unit(rotated(in_camera, c2w[:3, :3].astype(np.float64)))
     origins = np.broadcast_to(c2w[:3, 3], directions.shape)
     return np.ascontiguousarray(origins, dtype=np.float32), directions.astype(np.float32)
+
+
+def rotated(vectors: Float[np.ndarray, "*batch 3"], rotation: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "*batch 3"]:
+    """Each vector v as rotation · v.
+
+    Not by NumPy's matrix product: its threads go on spinning for a while after it, and take the cores from those that
+    cast rays.
+    """
+    turned: np.ndarray = np.einsum("...j,ij->...i", vectors, rotation)
+    return turned
 
 
 def _unit(vectors: np.ndarray) -> np.ndarray:
