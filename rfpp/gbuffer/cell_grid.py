@@ -9,9 +9,8 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Float, Int
 
-from rfpp.gbuffer.cell_table import KEYS_OF_OCTANT, MOST_PIECES, SIDES, CellTable, keys_each
+from rfpp.gbuffer.cell_table import DIRECTIONS, MOST_PIECES, NOWHERE, SIDES, CellTable, keys_each
 from rfpp.gbuffer.threads import over_rows
-from rfpp.scene.camera import rotated
 from rfpp.scene.triangles import SceneTriangles
 
 #: Half an object is cut into so many pieces along an axis that they are about this long, in world units.
@@ -48,7 +47,10 @@ class CellGrid:
         parts = [triangles.positions[a:b].astype(np.float64) for a, b in pairwise(bounds)]
         placed = [principal_axes(part) for part in parts]
         centroid, axes = np.stack([c for c, _ in placed]), np.stack([a for _, a in placed])
-        reach = [np.abs(rotated(part.reshape(-1, 3) - c, a)).max(0) for part, (c, a) in zip(parts, placed, strict=True)]
+        reach = [
+            np.abs(np.einsum("ri,ki->rk", part.reshape(-1, 3) - c, a)).max(0)
+            for part, (c, a) in zip(parts, placed, strict=True)
+        ]
         half = np.stack(reach)
         pieces = np.clip(np.rint(half / CELL_EDGE), 1, MOST_PIECES).astype(np.int64)
         return cls(triangles, centroid, axes, half, pieces)
@@ -63,39 +65,45 @@ class CellGrid:
         direction: np.ndarray = 2 * axis + (np.take_along_axis(local, axis[:, None], 1)[:, 0] < 0)
         return direction
 
+    @cached_property
+    def first(self) -> Int[np.ndarray, " o_plus_1"]:
+        """Key of each object, and how many keys there are."""
+        return np.concatenate([[0], np.cumsum(8 * self._keys_of_octant)])
+
+    @property
+    def _keys_of_octant(self) -> Int[np.ndarray, " o"]:
+        return self.pieces.prod(-1) * DIRECTIONS * SIDES
+
     def keys(
         self, triangle: Int[np.ndarray, " r"], point: Float[np.ndarray, "r 3"], back: np.ndarray
     ) -> Int[np.ndarray, " r"]:
         """A number for the cell of each point on the front or the back of a triangle; the same for the same cell."""
-        keys, nothing = np.empty(len(triangle), np.int64), np.zeros(0, np.int64)
-        over_rows(len(keys), keys_each, self.table(nothing, nothing), triangle, point, back, keys)
+        keys = np.empty(len(triangle), np.int64)
+        over_rows(len(keys), keys_each, self._table(np.zeros(0, np.int64)), triangle, point, back, keys)
         return keys
 
     def table(self, keys: Int[np.ndarray, " k"], cell: Int[np.ndarray, " k"]) -> CellTable:
         """What loops read, with the cells of these keys, which ascend."""
-        coarse_keys, first = np.unique(self.coarse(keys), return_index=True)
-        return CellTable(
-            owner=self.triangles.object_index.astype(np.int64),
-            direction=self._direction,
-            centroid=self.centroid,
-            axes=self.axes,
-            half=self.half,
-            pieces=self.pieces,
-            keys=keys,
-            cell=cell,
-            coarse_keys=coarse_keys,
-            coarse_cell=cell[first],
-        )
+        coarse, first = np.unique(self._sides_of_octants(keys), return_index=True)
+        of_side = np.full(8 * SIDES * len(self.pieces), NOWHERE)
+        of_side[coarse] = cell[first]
+        every = of_side[self._sides_of_octants(np.arange(self.first[-1]))]
+        every[keys] = cell
+        return self._table(every)
 
-    @staticmethod
-    def octants(keys: Int[np.ndarray, " c"]) -> Int[np.ndarray, " c"]:
+    def _table(self, cell: Int[np.ndarray, " keys"]) -> CellTable:
+        owner = self.triangles.object_index.astype(np.int64)
+        placed = self.centroid, self.axes, self.half, self.pieces
+        return CellTable(owner, self._direction, *placed, self.first[:-1], cell)
+
+    def octants(self, keys: Int[np.ndarray, " c"]) -> Int[np.ndarray, " c"]:
         """8 · object + octant of each cell."""
-        return keys // KEYS_OF_OCTANT
+        owner = np.searchsorted(self.first, keys, side="right") - 1
+        within: np.ndarray = (keys - self.first[owner]) // self._keys_of_octant[owner]
+        return 8 * owner + within
 
-    @classmethod
-    def coarse(cls, keys: Int[np.ndarray, " c"]) -> Int[np.ndarray, " c"]:
-        """A number for octant and side alone."""
-        return cls.octants(keys) * SIDES + keys % SIDES
+    def _sides_of_octants(self, keys: Int[np.ndarray, " c"]) -> Int[np.ndarray, " c"]:
+        return self.octants(keys) * SIDES + keys % SIDES
 
 
 def principal_axes(corners: Float[np.ndarray, "m 3 3"]) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, "3 3"]]:

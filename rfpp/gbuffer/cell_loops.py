@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from rfpp.gbuffer.cell_table import NOWHERE, CellTable, cell_of, key_at
+from rfpp.gbuffer.cell_table import NOWHERE, CellTable, key_at
 from rfpp.gbuffer.compiled import compiled, int64
 from rfpp.gbuffer.counted_random import Key, key_of, uniform
 from rfpp.gbuffer.ggx import lobe_and_pdf
@@ -273,4 +273,5 @@ def _of_lattice(number: int, count: int, key: Key) -> tuple[float, float]:
 def _cell_met(scene: LitScene, table: CellTable, triangle: int, way: Vector, point: Vector) -> int:
     a, b, c = scene.positions[triangle]
     back = dot(normal_of(triple(a), triple(b), triple(c)), way) > 0
-    return cell_of(table, key_at(table, triangle, point, back))
+    cell: int = table.cell[key_at(table, triangle, point, back)]
+    return cell

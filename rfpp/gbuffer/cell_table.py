@@ -1,4 +1,4 @@
-"""Which cell a point of a triangle belongs to: keys of cells, and the sorted table of those there are."""
+"""Which cell a point of a triangle belongs to: keys of places, and the table of what cell is at each."""
 
 from __future__ import annotations
 
@@ -18,8 +18,6 @@ MOST_PIECES = 4
 FLAT = 1e-4
 #: Directions of a triangle in its object's axes: forwards or backwards along one of three; and its two sides.
 DIRECTIONS, SIDES = 6, 2
-#: Keys of an octant.
-KEYS_OF_OCTANT = (2 * MOST_PIECES) ** 3 * DIRECTIONS * SIDES
 
 
 class CellTable(NamedTuple):
@@ -28,8 +26,9 @@ class CellTable(NamedTuple):
     Attributes:
         owner, direction: [M] object of each triangle, and which way it faces in the object's axes.
         centroid, axes, half, pieces: see `CellGrid`.
-        keys, cell: ascending, and the cell of each; NOWHERE for those that no light can reach.
-        coarse_keys, coarse_cell: of every octant's side, its first.
+        first: [O] key of each object.
+        cell: of every key there can be: where none of our points lay, any of the same octant and side; NOWHERE where
+            there is none, or no light can reach it.
     """
 
     owner: Int[np.ndarray, " m"]
@@ -38,10 +37,8 @@ class CellTable(NamedTuple):
     axes: Float[np.ndarray, "o 3 3"]
     half: Float[np.ndarray, "o 3"]
     pieces: Int[np.ndarray, "o 3"]
-    keys: Int[np.ndarray, " k"]
-    cell: Int[np.ndarray, " k"]
-    coarse_keys: Int[np.ndarray, " j"]
-    coarse_cell: Int[np.ndarray, " j"]
+    first: Int[np.ndarray, " o"]
+    cell: Int[np.ndarray, " keys"]
 
 
 @compiled
@@ -57,31 +54,12 @@ def key_at(table: CellTable, triangle: int, point: Vector, back: bool) -> int:
         if half[k] >= flat:  # else rounding alone would say on which side a point lies
             place += int64(np.floor(dot(table.axes[owner, k], away) / max(half[k], 1e-9) * pieces[k]))
         place = min(max(place, 0), 2 * pieces[k] - 1)
-        octant |= (place >= pieces[k]) << k  # octant first: it is what a token of HOCT stands for
-        box = box * 2 * MOST_PIECES + place
-    of_box = (owner * 8 + octant) * (2 * MOST_PIECES) ** 3 + box
-    key: int = (of_box * DIRECTIONS + table.direction[triangle]) * SIDES + back
+        beyond = place >= pieces[k]
+        octant |= beyond << k  # octant first: it is what a token of HOCT stands for
+        box = box * pieces[k] + place - (pieces[k] if beyond else 0)
+    of_box = octant * pieces[0] * pieces[1] * pieces[2] + box
+    key: int = table.first[owner] + (of_box * DIRECTIONS + table.direction[triangle]) * SIDES + back
     return key
-
-
-@compiled
-def coarse_key(key: int) -> int:
-    """A number for octant and side alone."""
-    return key // KEYS_OF_OCTANT * SIDES + key % SIDES
-
-
-@compiled
-def cell_of(table: CellTable, key: int) -> int:
-    """The cell of a key. Cells so small that none of our points lay there: any of their octant and side."""
-    row = _found(table.keys, key)
-    if row >= 0:
-        cell: int = table.cell[row]
-        return cell
-    row = _found(table.coarse_keys, coarse_key(key))
-    if row < 0:
-        return NOWHERE
-    coarse: int = table.coarse_cell[row]
-    return coarse
 
 
 @compiled
@@ -97,25 +75,3 @@ def keys_each(
     """Keys of points."""
     for row in range(start, stop):
         keys[row] = key_at(table, triangle[row], triple(points[row]), back[row])
-
-
-@compiled
-def cells_each(
-    start: int, stop: int, table: CellTable, keys: Int[np.ndarray, " r"], cell: Int[np.ndarray, " r"]
-) -> None:
-    """Cells of keys."""
-    for row in range(start, stop):
-        cell[row] = cell_of(table, keys[row])
-
-
-@compiled
-def _found(keys: Int[np.ndarray, " k"], key: int) -> int:
-    """Where a key stands among ascending ones; -1 for nowhere."""
-    low, high = 0, len(keys)
-    while low < high:
-        middle = (low + high) // 2
-        if keys[middle] < key:
-            low = middle + 1
-        else:
-            high = middle
-    return low if low < len(keys) and keys[low] == key else -1

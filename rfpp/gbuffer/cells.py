@@ -14,8 +14,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from rfpp.gbuffer.cell_grid import CellGrid
-from rfpp.gbuffer.cell_table import CellTable, cells_each
-from rfpp.gbuffer.threads import over_rows
+from rfpp.gbuffer.cell_table import CellTable
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,10 +79,8 @@ class CellMap:
         self, triangle: Int[np.ndarray, " r"], point: Float[np.ndarray, "r 3"], back: np.ndarray
     ) -> Int[np.ndarray, " r"]:
         """The cell of each point on the front or the back of a triangle."""
-        keys = self.grid.keys(triangle, point, back)
-        cell = np.empty_like(keys)
-        over_rows(len(keys), cells_each, self.table, keys, cell)
-        return cell
+        found: np.ndarray = self.table.cell[self.grid.keys(triangle, point, back)]
+        return found
 
     @cached_property
     def table(self) -> CellTable:

@@ -11,10 +11,12 @@ from jaxtyping import Float, Int
 
 from rfpp.errors import UserError
 from rfpp.gbuffer.compiled import compiled
+from rfpp.gbuffer.embree import closest
 from rfpp.gbuffer.raycast import RayCaster
+from rfpp.gbuffer.threads import over_rows
 from rfpp.gbuffer.traces import Trace
-from rfpp.gbuffer.vectors import normal_of
-from rfpp.scene.camera import pixel_plane, pixel_rays, rotated
+from rfpp.gbuffer.vectors import added, dot, in_frame, in_world, normal_of, scaled, triple, unit
+from rfpp.scene.camera import pixel_plane
 from rfpp.scene.triangles import DIFFUSE, ROUGHNESS, SPECULAR, SceneTriangles
 
 #: Channels of direct light, in the units of `DirectLight`.
@@ -160,22 +162,57 @@ def first_hit(
     visible = np.flatnonzero(~triangles.is_emissive).astype(np.int32)
     if len(caster) != len(visible):
         raise ValueError("the caster belongs to other triangles: make it with camera_caster(triangles)")
-    origins, directions = (np.reshape(a, (-1, 3)) for a in pixel_rays(c2w, float(fov), height, width, points))
-    hits = caster.cast(origins, directions)
-    seen = hits.triangle >= 0
-    triangle = np.full(len(seen), -1, np.int32)
-    triangle[seen] = visible[hits.triangle[seen]]
-
-    normal = np.zeros((len(seen), 3), np.float32)
-    normal[seen] = facing_normals(triangles, triangle[seen], hits.barycentric[seen], directions[seen])
-    forward = -c2w[:3, 2]
-    depth = np.where(seen, hits.distance, 0) * np.einsum("rk,k->r", directions, forward)
+    count = height * width
+    found = np.empty(count, np.int32), np.empty((count, 3), np.float32), np.empty(count, np.float32)
+    plane = pixel_plane(height, width, points).reshape(-1, 2)
+    seen_from = plane, np.tan(np.radians(float(fov)) / 2), c2w.astype(np.float64)
+    over_rows(count, _cast, caster.address, triangles.positions, triangles.normals, visible, *seen_from, *found)
+    triangle, normal, depth = found
     return GBuffer(
         triangle=triangle.reshape(height, width),
-        normal=rotated(normal, c2w[:3, :3].T).astype(np.float32).reshape(height, width, 3),
-        depth=depth.astype(np.float32).reshape(height, width),
+        normal=normal.reshape(height, width, 3),
+        depth=depth.reshape(height, width),
         points=points,
     )
+
+
+@compiled
+def _cast(
+    start: int,
+    stop: int,
+    address: int,
+    positions: Float[np.ndarray, "m 3 3"],
+    normals: Float[np.ndarray, "m 3 3"],
+    visible: Int[np.ndarray, " v"],
+    plane: Float[np.ndarray, "pixels 2"],
+    slope: float,
+    pose: Float[np.ndarray, "4 4"],
+    triangle: Int[np.ndarray, " pixels"],
+    normal: Float[np.ndarray, "pixels 3"],
+    depth: Float[np.ndarray, " pixels"],
+) -> None:
+    """Fills in what pixels see; arguments and results as `GBuffer` and `first_hit` have them."""
+    right, up, back = (
+        (pose[0, 0], pose[1, 0], pose[2, 0]),
+        (pose[0, 1], pose[1, 1], pose[2, 1]),
+        (pose[0, 2], pose[1, 2], pose[2, 2]),
+    )
+    eye = (pose[0, 3], pose[1, 3], pose[2, 3])
+    for row in range(start, stop):
+        toward = unit(slope * plane[row, 0], slope * plane[row, 1], -1.0)
+        way = in_world(toward, right, up, back)
+        hit, u, v, distance = closest(address, eye, way)
+        triangle[row], depth[row] = -1, 0.0
+        normal[row, 0], normal[row, 1], normal[row, 2] = 0.0, 0.0, 0.0
+        if hit < 0:
+            continue
+        triangle[row], depth[row] = visible[hit], -toward[2] * distance
+        corners, of_corners = positions[triangle[row]], normals[triangle[row]]
+        across = normal_of(triple(corners[0]), triple(corners[1]), triple(corners[2]))
+        side, (a, b, c) = -1.0 if dot(across, way) > 0 else 1.0, of_corners
+        shading = added(added(scaled(a, (1 - u - v) * side), scaled(b, u * side)), scaled(c, v * side))
+        facing = unit(*in_frame(shading, right, up, back))
+        normal[row, 0], normal[row, 1], normal[row, 2] = facing[0], facing[1], facing[2]
 
 
 def stack_channels(
@@ -241,38 +278,3 @@ def camera_positions(
 def object_ids(gbuffer: GBuffer, triangles: SceneTriangles) -> Int[np.ndarray, "h w"]:
     """[H, W] int32 index of the object seen, -1 where nothing is hit."""
     return np.where(gbuffer.hit, triangles.object_index[gbuffer.triangle], -1).astype(np.int32)
-
-
-def facing_normals(
-    triangles: SceneTriangles, hit: np.ndarray, barycentric: np.ndarray, directions: np.ndarray
-) -> np.ndarray:
-    """[R, 3] unit world shading normals, flipped where a ray of these [R, 3] directions meets the triangle's back.
-
-    Args:
-        hit: [R] triangles.
-        barycentric: [R, 3] weights of their corners.
-    """
-    normals = np.empty((len(hit), 3), np.float32)
-    _facing_normals(triangles.positions, triangles.normals, hit, barycentric, directions, normals)
-    return normals
-
-
-@compiled
-def _facing_normals(
-    positions: Float[np.ndarray, "m 3 3"],
-    corner_normals: Float[np.ndarray, "m 3 3"],
-    hit: Int[np.ndarray, " r"],
-    barycentric: Float[np.ndarray, "r 3"],
-    directions: Float[np.ndarray, "r 3"],
-    normals: Float[np.ndarray, "r 3"],
-) -> None:
-    for row in range(len(hit)):
-        (a, b, c), way = positions[hit[row]], directions[row]
-        x, y, z = normal_of(a, b, c)
-        side = -1.0 if x * way[0] + y * way[1] + z * way[2] > 0 else 1.0
-        (weight_a, weight_b, weight_c), (a, b, c) = barycentric[row], corner_normals[hit[row]]
-        x = weight_a * a[0] + weight_b * b[0] + weight_c * c[0]
-        y = weight_a * a[1] + weight_b * b[1] + weight_c * c[1]
-        z = weight_a * a[2] + weight_b * b[2] + weight_c * c[2]
-        side /= max(np.sqrt(x * x + y * y + z * z), 1e-12)
-        normals[row, 0], normals[row, 1], normals[row, 2] = side * x, side * y, side * z

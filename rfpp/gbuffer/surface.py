@@ -9,11 +9,12 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from rfpp.gbuffer import ggx
-from rfpp.gbuffer.compiled import compiled
-from rfpp.gbuffer.first_hit import GBuffer, camera_positions
+from rfpp.gbuffer.compiled import compiled, float64
+from rfpp.gbuffer.first_hit import GBuffer
 from rfpp.gbuffer.lit_scene import CLEARANCE
-from rfpp.gbuffer.vectors import GOLDEN, normal_of, tangents, triple
-from rfpp.scene.camera import rotated
+from rfpp.gbuffer.threads import over_rows
+from rfpp.gbuffer.vectors import Triple, Vector, added, dot, normal_of, scaled, triple
+from rfpp.scene.camera import pixel_plane
 from rfpp.scene.triangles import DIFFUSE, ROUGHNESS, SPECULAR, SceneTriangles
 
 
@@ -89,10 +90,14 @@ class Surface:
         cls, gbuffer: GBuffer, triangles: SceneTriangles, c2w: Float[np.ndarray, "4 4"], fov: SupportsFloat
     ) -> Surface:
         """The pixels of a G-buffer that hit something, row by row."""
-        turn = c2w[:3, :3].astype(np.float64)
-        position = rotated(camera_positions(gbuffer.depth, fov, gbuffer.points)[gbuffer.hit], turn) + c2w[:3, 3]
-        normal = rotated(gbuffer.normal[gbuffer.hit], turn)
-        return cls.at(triangles, gbuffer.triangle[gbuffer.hit], position, normal, c2w[:3, 3])
+        pixel = np.flatnonzero(gbuffer.hit)
+        vectors, alpha = np.empty((5, len(pixel), 3)), np.empty(len(pixel))
+        seen = (gbuffer.triangle.reshape(-1), gbuffer.normal.reshape(-1, 3), gbuffer.depth.reshape(-1))
+        plane = pixel_plane(*gbuffer.depth.shape, gbuffer.points).reshape(-1, 2)
+        slope, pose = np.tan(np.radians(float(fov)) / 2), c2w.astype(np.float64)
+        scene = triangles.positions, triangles.material
+        over_rows(len(pixel), _seen, *scene, pixel, *seen, plane, slope, pose, *vectors, alpha)
+        return cls(*vectors, alpha)
 
     def __len__(self) -> int:
         return len(self.point)
@@ -104,26 +109,12 @@ class Surface:
     def points(self, hit: Bool[np.ndarray, "h w"], along: int = 1) -> Points:
         """These points, one for each pixel of an image that hits something or, with so many points along each side of a
         pixel, for each point."""
-        rows, columns = np.nonzero(hit)
-        pixel = rows // along * (hit.shape[1] // along) + columns // along
-        nth = rows % along * along + columns % along
-        shines = (self.specular > 0).any(-1) & ((self.view * self.normal).sum(-1) > 0)
-        alpha = np.where(shines, self.alpha, -1.0)
-        return Points(self.point, self.normal, self.view, self.diffuse, self.specular, alpha, pixel, nth, along**2)
-
-    def frame(self) -> Float[np.ndarray, "r 3 3"]:
-        """Rows: two tangents and the normal."""
-        frames = np.empty((len(self), 3, 3))
-        _frames(self.normal, frames)
-        return frames
-
-
-@compiled
-def _frames(normals: Float[np.ndarray, "r 3"], frames: Float[np.ndarray, "r 3 3"]) -> None:
-    for row in range(len(normals)):
-        first, second = tangents(normals[row])
-        for k in range(3):
-            frames[row, 0, k], frames[row, 1, k], frames[row, 2, k] = first[k], second[k], normals[row, k]
+        place, alpha = np.flatnonzero(hit), np.empty(len(self))
+        pixel, nth = np.empty((2, len(self)), np.int64)
+        vectors = self.point, self.normal, self.view, self.diffuse, self.specular
+        of_rows = place, self.normal, self.view, self.specular, self.alpha, pixel, nth, alpha
+        over_rows(len(self), _of_pixels, hit.shape[1], along, *of_rows)
+        return Points(*vectors, alpha, pixel, nth, along**2)
 
 
 @compiled
@@ -138,36 +129,81 @@ def _in_front(
 ) -> None:
     """Fills in where rays start, and the unit direction to the eye."""
     for row in range(len(triangle)):
-        here = position[row]
-        wx, wy, wz = eye[row, 0] - here[0], eye[row, 1] - here[1], eye[row, 2] - here[2]
-        distance = np.sqrt(wx * wx + wy * wy + wz * wz)
-        if distance > 0:
-            wx, wy, wz = wx / distance, wy / distance, wz / distance
-        else:
-            wx, wy, wz = normal[row]
-        view[row, 0], view[row, 1], view[row, 2] = wx, wy, wz
-        corners = positions[triangle[row]]
-        a, b, c = triple(corners[0]), triple(corners[1]), triple(corners[2])
-        x, y, z = normal_of(a, b, c)
-        clearance = CLEARANCE / np.sqrt(x * x + y * y + z * z)
-        if x * wx + y * wy + z * wz < 0:
-            clearance = -clearance
-        point[row, 0] = here[0] + clearance * x
-        point[row, 1] = here[1] + clearance * y
-        point[row, 2] = here[2] + clearance * z
+        found = _raised(positions[triangle[row]], triple(position[row]), triple(normal[row]), triple(eye[row]))
+        for k in range(3):
+            point[row, k], view[row, k] = found[0][k], found[1][k]
 
 
-def cosine_directions(surface: Surface, random: Float[np.ndarray, "r 2"]) -> Float[np.ndarray, "r 3"]:
-    """World directions as dense as diffuse light arrives from them: points of a disc, lifted (Malley 1988)."""
-    radius, angle = np.sqrt(random[:, 0]), 2 * np.pi * random[:, 1]
-    local = np.stack([radius * np.cos(angle), radius * np.sin(angle), np.sqrt(1 - random[:, 0])], axis=-1)
-    directions: np.ndarray = np.einsum("rk,rkx->rx", local, surface.frame())
-    return directions
+@compiled
+def _seen(
+    start: int,
+    stop: int,
+    positions: Float[np.ndarray, "m 3 3"],
+    material: Float[np.ndarray, "m 10"],
+    pixel: Int[np.ndarray, " r"],
+    triangle: Int[np.ndarray, " pixels"],
+    of_camera: Float[np.ndarray, "pixels 3"],
+    depth: Float[np.ndarray, " pixels"],
+    plane: Float[np.ndarray, "pixels 2"],
+    slope: float,
+    pose: Float[np.ndarray, "4 4"],
+    point: Float[np.ndarray, "r 3"],
+    normal: Float[np.ndarray, "r 3"],
+    view: Float[np.ndarray, "r 3"],
+    diffuse: Float[np.ndarray, "r 3"],
+    specular: Float[np.ndarray, "r 3"],
+    alpha: Float[np.ndarray, " r"],
+) -> None:
+    """Fills in a `Surface`, of these pixels."""
+    eye = (pose[0, 3], pose[1, 3], pose[2, 3])
+    for row in range(start, stop):
+        at = pixel[row]
+        own, far = material[triangle[at]], float64(depth[at])
+        position = _turned(pose, (far * slope * plane[at, 0], far * slope * plane[at, 1], -far))
+        facing = _turned(pose, triple(of_camera[at]))
+        found = _raised(positions[triangle[at]], added(position, eye), facing, eye)
+        for k in range(3):
+            point[row, k], normal[row, k], view[row, k] = found[0][k], facing[k], found[1][k]
+            diffuse[row, k], specular[row, k] = own[k], own[3 + k]
+        alpha[row] = max(float64(own[6]) * float64(own[6]), ggx.MIN_ALPHA)
 
 
-def lattice(samples: int, shift: Float[np.ndarray, "r 2"]) -> Float[np.ndarray, "r s 2"]:
-    """Well-spread points of the unit square, displaced per row (Cranley and Patterson 1976)."""
-    count = np.arange(samples)
-    spread = np.stack([(count + 0.5) / samples, count * GOLDEN % 1], axis=-1)
-    displaced: np.ndarray = spread + shift[:, None]
-    return displaced % 1
+@compiled
+def _turned(pose: Float[np.ndarray, "4 4"], vector: Vector) -> Triple:
+    """From the camera's axes to the world's."""
+    return dot(pose[0, :3], vector), dot(pose[1, :3], vector), dot(pose[2, :3], vector)
+
+
+@compiled
+def _raised(corners: Float[np.ndarray, "3 3"], position: Vector, normal: Vector, eye: Vector) -> tuple[Triple, Triple]:
+    """The point of a triangle from which rays start, and the direction to the eye; to one in the point, the normal."""
+    away = (eye[0] - position[0], eye[1] - position[1], eye[2] - position[2])
+    distance = np.sqrt(dot(away, away))
+    view = scaled(away, 1 / distance) if distance > 0 else scaled(normal, 1.0)
+    across = normal_of(triple(corners[0]), triple(corners[1]), triple(corners[2]))
+    clearance = CLEARANCE / np.sqrt(dot(across, across))
+    return added(position, scaled(across, clearance if dot(across, view) >= 0 else -clearance)), view
+
+
+@compiled
+def _of_pixels(
+    start: int,
+    stop: int,
+    width: int,
+    along: int,
+    place: Int[np.ndarray, " r"],
+    normal: Float[np.ndarray, "r 3"],
+    view: Float[np.ndarray, "r 3"],
+    specular: Float[np.ndarray, "r 3"],
+    alpha: Float[np.ndarray, " r"],
+    pixel: Int[np.ndarray, " r"],
+    nth: Int[np.ndarray, " r"],
+    of_lobe: Float[np.ndarray, " r"],
+) -> None:
+    """Fills in a `Points`' pixel, nth and alpha, of places in an image of so many points a row."""
+    for row in range(start, stop):
+        y, x = place[row] // width, place[row] % width
+        pixel[row] = y // along * (width // along) + x // along
+        nth[row] = y % along * along + x % along
+        shines = max(specular[row, 0], specular[row, 1], specular[row, 2]) > 0 and dot(view[row], normal[row]) > 0
+        of_lobe[row] = alpha[row] if shines else -1.0

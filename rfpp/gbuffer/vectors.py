@@ -72,9 +72,12 @@ def unit(x: float, y: float, z: float) -> Triple:
 
 @compiled
 def tangents(normal: Vector) -> tuple[Triple, Triple]:
-    """Two, with which a unit normal is a frame (Duff et al., "Building an Orthonormal Basis, Revisited", 2017)."""
+    """Two, with which a unit normal is a frame (Duff et al., "Building an Orthonormal Basis, Revisited", 2017).
+
+    Those of an upright wall are alike in all its pixels, whichever way rounding tips it: rays are spread over several.
+    """
     x, y, z = normal
-    sign = -1.0 if z < 0 else 1.0
+    sign = -1.0 if z < -0.5 else 1.0
     a = -1 / (sign + z)
     b = x * y * a
     return (1 + sign * x * x * a, sign * b, -sign * x), (b, sign + y * y * a, -y)

@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from rfpp.gbuffer.cell_finding import CellSources, find_cells_and_sources
+from rfpp.gbuffer.cell_finding import CellSources, cells_at
+from rfpp.gbuffer.cell_places import CellPlaces, find_places
 from rfpp.gbuffer.cell_table import NOWHERE
-from rfpp.gbuffer.cells import CellMap, Cells
+from rfpp.gbuffer.cells import Cells
 from rfpp.gbuffer.first_hit import (
     BOUNCED_LIGHT,
     CELL_CHANNELS,
@@ -113,7 +114,7 @@ class GBufferSource:
                 how = {"reflects": reflects, "traced": traced}
                 gbuffer = with_known_light(gbuffer, *seen, lights(), light_samples, **how)
             if self._wants((*CELL_CHANNELS, BOUNCED_LIGHT)):
-                cells = self._cells(triangles, geometry, light)[1]
+                cells = self._places(triangles, geometry).map
                 rays = rays_beside(light_samples * points**2)
                 gbuffer = with_cells(gbuffer, *seen, lights(), cells, traced=traced, rays=rays)
             return gbuffer
@@ -146,14 +147,20 @@ class GBufferSource:
 
     def cell_sources(self, triangles: SceneTriangles) -> CellSources:
         """What the numbers of `cells` are made of."""
-        return self._cells(triangles, _geometry(triangles), None)[2]
+        return self._cells(triangles, _geometry(triangles), None)[1]
 
-    def _cells(
-        self, triangles: SceneTriangles, geometry: bytes, light: str | None
-    ) -> tuple[Cells, CellMap, CellSources]:
+    def _cells(self, triangles: SceneTriangles, geometry: bytes, light: str | None) -> tuple[Cells, CellSources]:
+        def find() -> tuple[Cells, CellSources]:
+            return cells_at(self._places(triangles, geometry), self._lights(triangles, geometry, light))
+
         key = ("cells", geometry, digest_of(triangles.material), light)
-        size = _CELL_BYTES_PER_TRIANGLE * len(triangles)
-        return self._kept.recall(key, size, lambda: find_cells_and_sources(self._lights(triangles, geometry, light)))
+        return self._kept.recall(key, _CELL_BYTES_PER_TRIANGLE * len(triangles), find)
+
+    def _places(self, triangles: SceneTriangles, geometry: bytes) -> CellPlaces:
+        def find() -> CellPlaces:
+            return find_places(triangles, self._shadow_caster(triangles, geometry))
+
+        return self._kept.recall(("places", geometry), _CELL_BYTES_PER_TRIANGLE * len(triangles), find)
 
     def _first_hit(
         self,

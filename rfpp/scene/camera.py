@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from jaxtyping import Float
 
@@ -34,36 +32,6 @@ def pixel_plane(height: int, width: int, points: int = 1) -> Float[np.ndarray, "
     plane[..., 0] = (column + (row % points - middle) / points + 0.5 - width / 2) / half
     plane[..., 1] = (height / 2 - row + (column % points - middle) / points - 0.5) / half
     return plane
-
-
-def pixel_rays(
-    c2w: Float[np.ndarray, "4 4"], fov_degrees: float, height: int, width: int, points: int = 1
-) -> tuple[Float[np.ndarray, "{height} {width} 3"], Float[np.ndarray, "{height} {width} 3"]]:
-    """World-space rays through the pixel centres.
-
-    Args:
-        c2w: camera-to-world matrix.
-        fov_degrees: full field of view along the longer image side.
-        height, width, points: see `pixel_plane`.
-
-    Returns:
-        origins and unit directions, float32.
-    """
-    plane = pixel_plane(height, width, points).astype(np.float64) * math.tan(math.radians(fov_degrees) / 2)
-    in_camera = np.concatenate([plane, np.full((height, width, 1), -1.0)], axis=-1)
-    directions = _unit(rotated(in_camera, c2w[:3, :3].astype(np.float64)))
-    origins = np.broadcast_to(c2w[:3, 3], directions.shape)
-    return np.ascontiguousarray(origins, dtype=np.float32), directions.astype(np.float32)
-
-
-def rotated(vectors: Float[np.ndarray, "*batch 3"], rotation: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "*batch 3"]:
-    """Each vector v as rotation · v.
-
-    Not by NumPy's matrix product: its threads go on spinning for a while after it, and take the cores from those that
-    cast rays.
-    """
-    turned: np.ndarray = np.einsum("...j,ij->...i", vectors, rotation)
-    return turned
 
 
 def _unit(vectors: np.ndarray) -> np.ndarray:

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from known_scenes import box, look_at, material, pack, square
 
-from rfpp.gbuffer.cell_finding import find_cells, find_cells_and_sources
+from rfpp.gbuffer.cell_finding import cells_at, find_cells
+from rfpp.gbuffer.cell_places import find_places
 from rfpp.gbuffer.first_hit import first_hit
 from rfpp.gbuffer.gathering import with_cells
 from rfpp.gbuffer.ggx import lobe_albedo, multiple_scattering, scattering_growth
@@ -51,9 +52,10 @@ def test_reflected_light_changes_as_its_trace_says(columns):
 def test_bounced_light_and_highlights_change_as_their_traces_say(columns):
     def of(scene: SceneTriangles):
         sampler = LightSampler(scene)
-        cells, places, sources = find_cells_and_sources(sampler)
+        places = find_places(scene, sampler.caster)
+        cells, sources = cells_at(places, sampler)
         seen = first_hit(scene, CAMERA, FOV, SIDE, SIDE, points=POINTS)
-        return cells, with_cells(seen, CAMERA, FOV, sampler, places, traced=True).cells, sources
+        return cells, with_cells(seen, CAMERA, FOV, sampler, places.map, traced=True).cells, sources
 
     (cells, pixels, sources), (more, of_more, _), (less, of_less, _) = (
         of(mirror_and_box(change, columns)) for change in (0.0, 0.02, -0.02)

@@ -8,6 +8,7 @@ import tempfile
 
 import numpy as np
 import pytest
+from camera_rays import pixel_rays
 from known_scenes import LIGHT, box, look_at, material, moved, pack, rigid_motion, sphere, square, still_life
 from marks import requires_blender
 from reference_presets import preset
@@ -15,7 +16,6 @@ from reference_presets import preset
 from rfpp.errors import SceneError, UserError
 from rfpp.gbuffer.first_hit import first_hit, object_ids
 from rfpp.reference.cycles import CyclesSettings, render, render_passes
-from rfpp.scene.camera import pixel_rays
 
 pytestmark = requires_blender
 

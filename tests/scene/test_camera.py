@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from camera_rays import pixel_rays
 
-from rfpp.scene.camera import camera_to_world, pixel_plane, pixel_rays
+from rfpp.scene.camera import camera_to_world, pixel_plane
 from rfpp.scene.spec import Camera
 
 CAMERA = Camera(position=(0.0, -2.0, 0.5), look_at=(0.1, 0.0, 0.2), fov=40.0)

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
+from camera_rays import pixel_rays
 
 from rfpp.errors import SceneError
-from rfpp.scene.camera import pixel_rays
 from rfpp.serve.image_window import Frame
 
 

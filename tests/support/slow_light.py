@@ -4,16 +4,18 @@ import numpy as np
 
 from rfpp.gbuffer import ggx
 from rfpp.gbuffer.cell_grid import CellGrid
-from rfpp.gbuffer.cell_table import DIRECTIONS, FLAT, MOST_PIECES, SIDES
+from rfpp.gbuffer.cell_table import DIRECTIONS, FLAT, SIDES
 from rfpp.gbuffer.lit_scene import CLEARANCE
 from rfpp.gbuffer.raycast import RayCaster
 from rfpp.gbuffer.surface import Surface
+from rfpp.gbuffer.vectors import tangents
 from rfpp.scene.triangles import EMISSION, SceneTriangles
 
 
 def direct_light(scene: SceneTriangles, surface: Surface, samples: int, rng: np.random.Generator) -> np.ndarray:
     """[2, R, 3] irradiance / π and glossy light, by evenly spread points on every emitting triangle."""
-    caster, frame = RayCaster(scene.positions), surface.frame()
+    caster = RayCaster(scene.positions)
+    frame = np.array([[*tangents(normal), normal] for normal in surface.normal])
     found = np.zeros((2, len(surface), 3))
     view = np.einsum("rkx,rx->rk", frame, surface.view)
     scale = ggx.multiple_scattering(view[:, 2], surface.alpha, surface.specular)
@@ -37,12 +39,13 @@ def direct_light(scene: SceneTriangles, surface: Surface, samples: int, rng: np.
 def cell_keys(grid: CellGrid, triangle: np.ndarray, point: np.ndarray, back: np.ndarray) -> np.ndarray:
     """As `CellGrid.keys`."""
     owner = grid.triangles.object_index[triangle].astype(np.int64)
-    pieces, most, half = grid.pieces[owner], 2 * MOST_PIECES, grid.half[owner]
+    pieces, half, within = grid.pieces[owner], grid.half[owner], 0
     local = np.einsum("rij,rj->ri", grid.axes[owner], point - grid.centroid[owner])
     flat = half < FLAT * half.max(-1, keepdims=True)
     place = np.where(flat, 0, np.floor(local / np.maximum(half, 1e-9) * pieces)).astype(np.int64) + pieces
     place = np.clip(place, 0, 2 * pieces - 1)
     octant = (place >= pieces) @ np.array([1, 2, 4])
-    box = (place[:, 0] * most + place[:, 1]) * most + place[:, 2]
-    key = (owner * 8 + octant) * most**3 + box
-    return (key * DIRECTIONS + grid.table(key[:0], key[:0]).direction[triangle]) * SIDES + back
+    for k in range(3):
+        within = within * pieces[:, k] + place[:, k] % pieces[:, k]
+    box = grid.first[owner] // (DIRECTIONS * SIDES) + octant * pieces.prod(-1) + within
+    return (box * DIRECTIONS + grid._direction[triangle]) * SIDES + back

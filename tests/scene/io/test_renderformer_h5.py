@@ -6,10 +6,10 @@ from dataclasses import replace
 import h5py
 import numpy as np
 import pytest
+from camera_rays import pixel_rays
 from known_scenes import look_at, still_life
 
 from rfpp.errors import SceneError
-from rfpp.scene.camera import pixel_rays
 from rfpp.scene.io import renderformer_h5 as h5
 from rfpp.scene.io.loading import load_scene
 from rfpp.scene.io.renderformer_h5 import image_shape, load_images, save_h5
