@@ -91,6 +91,11 @@ class PackedCells:
         """The inverse of `padded`."""
         return values.flatten(0, 1)[self._rows[2]]
 
+    def rows(self, seen: Int[Tensor, "c rays"]) -> Int[Tensor, "c rays"]:
+        """Cells that cells see, from numbers within the scene to rows; C for none."""
+        first = self.scenes.offsets[:-1].long()[self.scenes.index][:, None]
+        return torch.where(seen < 0, len(self), seen + first)
+
     def to(self, device: torch.device | str, **kwargs) -> PackedCells:
         return PackedCells(**{field.name: getattr(self, field.name).to(device, **kwargs) for field in fields(self)})
 

@@ -9,7 +9,7 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from rfpp.gbuffer.first_hit import BOUNCED_LIGHT, CELL_CHANNELS, CHANNELS
-from rfpp.model.bounces import of_rays
+from rfpp.model.couplings import of_rays
 from rfpp.model.joint_window import JointWindow
 from rfpp.model.lit_cells import LitCells
 

@@ -11,12 +11,11 @@ from jaxtyping import Float
 from torch import Tensor
 
 from rfpp.model.bounces import DullBounce, GlossyBounce
+from rfpp.model.couplings import Corrections, DenseCouplings, RayCouplings
 from rfpp.packed_cells import PackedCells
 
 #: Of what arrives at a cell at least so much comes from nowhere, where that has to be guessed.
 _LEAST_ESCAPING = 0.02
-#: A share below which it makes no difference how wrong A is: of 64 rays, one in 64 cells.
-_LEAST_SHARE = 1 / 4096
 
 
 class CastFormFactors:
@@ -25,14 +24,14 @@ class CastFormFactors:
     #: Rays know where glossy lobes send light.
     bounce = GlossyBounce
 
-    def __call__(self, cells: PackedCells) -> tuple[Float[Tensor, "b c c"], Float[Tensor, "b c"]]:
-        """F_ij of every pair of cells of a scene, padded, and what escapes; together 1 in each row."""
-        hits = cells.padded(cells.hits + 1)  # [B, C, R]; padding and misses go to column 0
-        rays = hits.shape[-1]
-        counted = cells.area.new_zeros(*hits.shape[:2], hits.shape[1] + 1)
-        counted.scatter_add_(2, hits, counted.new_ones(1).expand(hits.shape))
-        shares = counted / rays
-        return shares[..., 1:], shares[..., 0]
+    def __call__(self, cells: PackedCells, corrections: Corrections | None = None) -> RayCouplings:
+        """A: form factors, each times its correction, if there are any, and again 1 together with what escapes."""
+        meets = cells.hits >= 0
+        weight, sink = meets / cells.hits.shape[1], (~meets).to(cells.area).mean(-1)
+        if corrections is not None:
+            weight = weight * corrections.of_rays(cells.rows(cells.hits))
+            sink = sink * corrections.of_escape()
+        return RayCouplings(cells, weight, sink)
 
 
 class UnoccludedFormFactors:
@@ -43,8 +42,15 @@ class UnoccludedFormFactors:
 
     bounce = DullBounce
 
-    def __call__(self, cells: PackedCells) -> tuple[Float[Tensor, "b c c"], Float[Tensor, "b c"]]:
+    def __call__(self, cells: PackedCells, corrections: Corrections | None = None) -> DenseCouplings:
         """As `CastFormFactors`; rows that would exceed 1 are made to fit when they are normalised."""
+        seen = self._seen(cells)
+        sink = (1 - seen.sum(-1)).clamp_min(_LEAST_ESCAPING)
+        if corrections is not None:
+            seen, sink = seen * corrections.of_pairs(cells), sink * cells.padded(corrections.of_escape())
+        return DenseCouplings(cells, seen, sink)
+
+    def _seen(self, cells: PackedCells) -> Float[Tensor, "b longest longest"]:
         centre, normal, area = (cells.padded(x) for x in (cells.centre, cells.normal, cells.area[:, None]))
         way = centre[:, None] - centre[:, :, None]  # [B, i, j, 3] from i to j
         distance2 = way.square().sum(-1)
@@ -52,17 +58,4 @@ class UnoccludedFormFactors:
         arriving = -torch.einsum("bijx,bjx->bij", way, normal).clamp_max(0)
         area = area.transpose(1, 2)
         facing = (torch.pi * distance2 + area).clamp_min(1e-12)  # 0 between rows of padding
-        seen = leaving * arriving / distance2.clamp_min(1e-12) * area / facing
-        return seen, (1 - seen.sum(-1)).clamp_min(_LEAST_ESCAPING)
-
-
-def divergence(couplings: Float[Tensor, "b c c"], cells: PackedCells) -> Float[Tensor, ""]:
-    """Kullback-Leibler divergence of A from cast form factors, in nats, a mean over cells: how far from what rays see.
-
-    Args:
-        couplings: A of every scene, padded; what its rows lack to 1 escapes.
-    """
-    seen, escaping = CastFormFactors()(cells)
-    target = torch.cat([seen, escaping[..., None]], dim=-1)
-    guess = torch.cat([couplings, 1 - couplings.sum(-1, keepdim=True)], dim=-1).clamp_min(_LEAST_SHARE)
-    return cells.packed((torch.xlogy(target, target) - target * guess.log()).sum(-1)).mean()
+        return leaving * arriving / distance2.clamp_min(1e-12) * area / facing

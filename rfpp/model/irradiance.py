@@ -5,17 +5,18 @@ from __future__ import annotations
 from jaxtyping import Float
 from torch import Tensor
 
+from rfpp.model.couplings import Couplings
 from rfpp.packed_cells import PackedCells
 
 
 class CastIrradiance:
     """T L_e as it was computed by rays, shadows included."""
 
-    def __call__(self, cells: PackedCells, couplings: Float[Tensor, "b longest longest"]) -> Float[Tensor, "c 3"]:
+    def __call__(self, cells: PackedCells, couplings: Couplings) -> Float[Tensor, "c 3"]:
         """Irradiance / π.
 
         Args:
-            couplings: A of every scene, padded.
+            couplings: A.
         """
         return cells.arriving
 
@@ -23,6 +24,6 @@ class CastIrradiance:
 class CoupledIrradiance:
     """A L_e: lights are cells like all others, and no rays are cast for their light (the paper's setting)."""
 
-    def __call__(self, cells: PackedCells, couplings: Float[Tensor, "b longest longest"]) -> Float[Tensor, "c 3"]:
+    def __call__(self, cells: PackedCells, couplings: Couplings) -> Float[Tensor, "c 3"]:
         """As `CastIrradiance`."""
-        return cells.packed(couplings @ cells.padded(cells.emitted))
+        return couplings.arriving(cells.emitted)

@@ -13,7 +13,8 @@ from torch import Tensor, nn
 from rfpp.model.autocast import in_float32
 from rfpp.model.block import NORM_EPS, RMSNorm, SwiGLU
 from rfpp.model.bounces import DullBounce, light_after
-from rfpp.model.form_factors import CastFormFactors, UnoccludedFormFactors, divergence
+from rfpp.model.couplings import Corrections, Couplings
+from rfpp.model.form_factors import CastFormFactors, UnoccludedFormFactors
 from rfpp.model.irradiance import CastIrradiance, CoupledIrradiance
 from rfpp.model.lit_cells import LitCells, Reflectance
 from rfpp.model.tokenizer import SceneTokens
@@ -65,7 +66,7 @@ class LinearTransport(nn.Module):
 
     def forward(self, tokens: SceneTokens) -> Transported:
         lit, states, couplings = self._each(tokens, self.iterations + self.training)
-        divergence_from_rays = divergence(couplings, tokens.unlit_cells) if self.training else None
+        divergence_from_rays = couplings.divergence() if self.training else None
         return Transported(self._as_far_as_the_images(lit, tokens.bounces), states[1:], divergence_from_rays)
 
     def _as_far_as_the_images(self, lit: list[SceneTokens], bounces: tuple[int | None, ...]) -> SceneTokens:
@@ -86,7 +87,7 @@ class LinearTransport(nn.Module):
 
     def _each(
         self, tokens: SceneTokens, count: int
-    ) -> tuple[list[SceneTokens], tuple[Float[Tensor, "c 3"], ...], Float[Tensor, "b longest longest"]]:
+    ) -> tuple[list[SceneTokens], tuple[Float[Tensor, "c 3"], ...], Couplings]:
         tokens, cells = told_apart(self.encoder(told_apart(tokens)).tokens), tokens.unlit_cells
         features = self.cell_features(tokens, cells)
         with in_float32(features):
@@ -102,20 +103,13 @@ class LinearTransport(nn.Module):
 
     def _operator(
         self, features: Float[Tensor, "c width"], cells: PackedCells
-    ) -> tuple[Reflectance, Float[Tensor, "b longest longest"], DullBounce]:
-        """ρ of every cell; A of every scene, padded; what they do to light."""
+    ) -> tuple[Reflectance, Couplings, DullBounce]:
+        """ρ of every cell, A, and what they do to light."""
         projected = F.linear(features, self.corrections.weight.float())
         query, key, escape = projected.split([self.rank, self.rank, 1], dim=-1)
-        seen, escaping = self.form_factors(cells)
-        score = cells.padded(query) @ cells.padded(key).transpose(1, 2) / self.rank**0.5
-        weight = seen * self._gain(score)
-        sink = escaping * self._gain(cells.padded(escape)[..., 0])
-        couplings = weight / (weight.sum(-1) + sink).clamp_min(1e-12)[..., None]
+        couplings = self.form_factors(cells, Corrections(query, key, escape[:, 0], self.bound))
         reflectance = Reflectance(cells.diffuse, cells.specular).bounded(HIGHEST_ALBEDO)
-        return reflectance, couplings, self.form_factors.bounce(cells, couplings, reflectance, seen)
-
-    def _gain(self, score: Tensor) -> Tensor:
-        return torch.exp(self.bound * torch.tanh(score))
+        return reflectance, couplings, self.form_factors.bounce(cells, couplings, reflectance)
 
 
 def told_apart(tokens: SceneTokens) -> SceneTokens:

@@ -46,9 +46,8 @@ class UnlearnedRadiosity(nn.Module):
             raise ValueError("radiosity moves light between cells, but the batch carries none")
         cells, (scenes, views, _, *size) = batch.cells, batch.gbuffer.shape
         height, width = (points // supersampling for points in size)
-        seen, _ = self.form_factors(cells)
         reflectance = Reflectance(cells.diffuse, cells.specular).bounded(1.0)
-        bounce = self.form_factors.bounce(cells, seen, reflectance, seen)
+        bounce = self.form_factors.bounce(cells, self.form_factors(cells), reflectance)
         states = light_after(cells.arriving, bounce, self.iterations)
         before = (torch.zeros_like(states[0]), *states)[self.iterations]
         lit = LitCells(cells, cells.area[:, None], reflectance, states[0], states[-1], before)

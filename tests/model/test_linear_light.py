@@ -15,6 +15,7 @@ from rfpp.errors import UserError
 from rfpp.gbuffer.first_hit import CHANNELS, LIGHT_CHANNELS
 from rfpp.imaging.radiance import log_decode
 from rfpp.model.bounces import light_after
+from rfpp.model.couplings import Corrections, DenseCouplings
 from rfpp.model.form_factors import CastFormFactors, UnoccludedFormFactors
 from rfpp.model.linear_transport import HIGHEST_ALBEDO
 from rfpp.model.lit_cells import Reflectance
@@ -134,11 +135,11 @@ def test_in_a_closed_box_light_is_the_geometric_series(albedo, share):
     cells = closed_box()
     specular = torch.full_like(cells.arriving, share * albedo)
     cells = replace(cells, highlights=specular)  # emitters light all of it by 1
-    seen, escaping = (factors := CastFormFactors())(cells)
-    assert not escaping.any()
+    couplings = (factors := CastFormFactors())(cells)
+    assert not couplings.escaping.any()
     dull = torch.full_like(specular, albedo)
     reflectance = Reflectance(dull - specular, specular)
-    states = light_after(cells.arriving, factors.bounce(cells, seen, reflectance, seen), 40)
+    states = light_after(cells.arriving, factors.bounce(cells, couplings, reflectance), 40)
     for k, state in enumerate(states):
         expected = (1 - albedo ** (k + 1)) / (1 - albedo)
         torch.testing.assert_close(state, torch.full_like(state, expected), rtol=1e-5, atol=0)
@@ -160,10 +161,9 @@ def test_form_factors_by_formula_are_those_by_rays_where_nothing_stands_between(
     centre, normal = np.float32([[0, 0, 0], [0, 0, 1]]), np.float32([[0, 0, 1], [0, 0, -1]])
     area = np.float32([0.01, 0.01])
     packed = PackedCells.pack([replace(cells, centre=centre, normal=normal, area=area)], [2])
-    seen, escaping = UnoccludedFormFactors()(packed)
+    share = UnoccludedFormFactors()(packed).share
     expected = 0.01 / (np.pi + 0.01)
-    torch.testing.assert_close(seen[0], torch.tensor([[0, expected], [expected, 0]]), rtol=1e-5, atol=1e-8)
-    torch.testing.assert_close(escaping[0], torch.full((2,), 1 - expected), rtol=1e-5, atol=0)
+    torch.testing.assert_close(share[0], torch.tensor([[0, expected], [expected, 0]]), rtol=1e-5, atol=1e-8)
 
 
 def test_padding_is_no_cell():
@@ -171,12 +171,32 @@ def test_padding_is_no_cell():
     rng = np.random.default_rng(1)
     few, many = random_cells(rng, 2, per_object=2), random_cells(rng, 5, per_object=3)
     together, alone = PackedCells.pack([few, many], [2, 5]), PackedCells.pack([few], [2])
+    leaving = torch.rand(len(together), 3)
     for factors in (CastFormFactors(), UnoccludedFormFactors()):
-        (both, escaping), (one, escaped) = factors(together), factors(alone)
-        torch.testing.assert_close(both[0, :4, :4], one[0])
-        torch.testing.assert_close(escaping[0, :4], escaped[0])
-        assert not both[0, :4, 4:].any()
-        assert torch.isfinite(both).all()
+        both, one = factors(together), factors(alone)
+        torch.testing.assert_close(both.arriving(leaving)[:4], one.arriving(leaving[:4]))
+        assert torch.isfinite(both.share).all()
+
+
+def test_rays_couple_cells_as_the_matrix_of_what_they_see():
+    """Corrected: what arrives, and how far that is from what the rays see."""
+    rng = np.random.default_rng(2)
+    scenes = [random_cells(rng, objects, per_object=2) for objects in (2, 5)]
+    hits = [rng.integers(-1, len(cells), cells.hits.shape).astype(np.int32) for cells in scenes]
+    cells = PackedCells.pack([replace(c, hits=h) for c, h in zip(scenes, hits, strict=True)], [2, 5])
+    learned = Corrections(torch.randn(len(cells), 4), torch.randn(len(cells), 4), torch.randn(len(cells)), bound=1.0)
+    by_rays = CastFormFactors()(cells, learned)
+    seen = torch.zeros(2, 10, 10)
+    for scene, of_scene in enumerate(hits):
+        for cell, ends in enumerate(of_scene):
+            for end in ends[ends >= 0]:
+                seen[scene, cell, end] += 1 / len(ends)
+    sink = (1 - seen.sum(-1)) * cells.padded(learned.of_escape())
+    by_matrix = DenseCouplings(cells, seen * learned.of_pairs(cells), sink)
+    leaving = torch.rand(len(cells), 3)
+    torch.testing.assert_close(by_rays.arriving(leaving), by_matrix.arriving(leaving))
+    torch.testing.assert_close(by_rays.divergence(), by_matrix.divergence())
+    assert by_rays.divergence() > 0.01 and CastFormFactors()(cells).divergence() < 1e-6
 
 
 def test_what_cells_do_not_fit_is_refused(sample):
