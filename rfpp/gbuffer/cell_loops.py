@@ -184,7 +184,6 @@ def cells_seen(
     points: Points,
     point_of: Int[np.ndarray, "pixels of_pixel"],
     width: int,
-    rays: int,
     key: Key,
     diffuse: Int[np.ndarray, "pixels rays"],
     glossy: Int[np.ndarray, "pixels rays"],
@@ -199,11 +198,10 @@ def cells_seen(
         points: `rfpp.gbuffer.surface.Points`.
         point_of: [pixels, points of each] rows of the points, -1 for none.
         width: of the image in pixels.
-        rays: of each pixel and lobe; they fill a pixel's numbers in turn.
         light: [pixels, 3] of the emitters, that surfaces send to the diffuse rays.
         trace: of `light`, to fill in (`rfpp.gbuffer.traces.Trace`).
     """
-    slots, traced = diffuse.shape[1], trace.triangle.shape[1] > 0
+    rays, traced = diffuse.shape[1], trace.triangle.shape[1] > 0
     for pixel in range(start, stop):
         own_key = key_of(key, pixel)
         y, x = pixel // width, pixel % width
@@ -228,8 +226,7 @@ def cells_seen(
             density = density_of_lobes(mean_diffuse, mean_specular, toward[2], by_lobe)
             way = in_world(toward, first, second, normal)
             end = followed(scene, table, point, way, density, key_of(own_key, 2 * s), True, True, place + s)
-            for slot in range(s, slots, rays):
-                diffuse[pixel, slot], diffuse_on[pixel, slot] = end.cell, end.onward
+            diffuse[pixel, s], diffuse_on[pixel, s] = end.cell, end.onward
             for c in range(3):
                 light[pixel, c] += end.light[c] / rays
             if traced and end.triangle >= 0:
@@ -248,8 +245,7 @@ def cells_seen(
             density = density_of_lobes(mean_diffuse, mean_specular, toward[2], lobe_and_pdf(view, toward, alpha)[1])
             # the emitters' light that comes this way is in `reflected_light`
             end = followed(scene, table, point, way, density, key_of(own_key, 2 * s + 1), False, False, 0)
-            for slot in range(s, slots, rays):
-                glossy[pixel, slot], glossy_on[pixel, slot] = end.cell, end.onward
+            glossy[pixel, s], glossy_on[pixel, s] = end.cell, end.onward
 
 
 @compiled

@@ -29,7 +29,7 @@ CELL_CHANNELS = ("diffuse_cells", "glossy_cells", "diffuse_onward", "glossy_onwa
 BOUNCED_LIGHT = "bounced_light"
 #: Channels of the light that pixels gather from cells, by lobe; networks find it themselves.
 GATHERED_CHANNELS = ("gathered_diffuse", "gathered_glossy")
-#: Rays to cells from each pixel and lobe.
+#: Rays to cells from each pixel and lobe; drafts have fewer.
 CELL_RAYS = 4
 #: Channels that hold light.
 LIGHT_CHANNELS = (*DIRECT_CHANNELS, "reflected_light", BOUNCED_LIGHT)
@@ -80,7 +80,7 @@ class Reflection:
 
 @dataclass(frozen=True, eq=False)
 class SeenCells:
-    """The cells (`rfpp.gbuffer.cells`) in which CELL_RAYS rays from each pixel end; -1 where they meet none.
+    """The cells (`rfpp.gbuffer.cells`) in which S rays from each pixel end, at most CELL_RAYS; -1 where they meet none.
 
     Attributes:
         diffuse: [H, W, S] int32: rays as dense as diffuse light arrives.

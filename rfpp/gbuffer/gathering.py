@@ -38,7 +38,7 @@ def with_cells(
         cells: of the scene.
         seed: of the rays' displacement from pixel to pixel; the same seed gives the same numbers.
         traced: whether it is wanted where the light of the first bounce comes from.
-        rays: that are cast for each pixel and lobe, a divisor of CELL_RAYS: with fewer, each counts more than once.
+        rays: S, that are cast for each pixel and lobe.
     """
     points = gbuffer.points
     height, width = (side // points for side in gbuffer.depth.shape)
@@ -46,11 +46,11 @@ def with_cells(
     of_image = surface.points(gbuffer.hit, points)
     point_of = np.full((height * width, of_image.of_pixel), -1)
     point_of[of_image.pixel, of_image.nth] = np.arange(len(surface))
-    seen = np.full((4, height * width, CELL_RAYS), NOWHERE, np.int32)
+    seen = np.full((4, height * width, rays), NOWHERE, np.int32)
     bounced = np.zeros((height * width, 3), np.float32)
     key = int(np.random.default_rng(seed).integers(1 << 62))
-    trace = Trace.of(height * width, CELL_RAYS if traced else 0)
-    image = (of_image, point_of, width, rays, key, *seen, bounced, trace)
+    trace = Trace.of(height * width, rays if traced else 0)
+    image = (of_image, point_of, width, key, *seen, bounced, trace)
     over_rows(height * width, cells_seen, sampler.scene, cells.table, *image)
 
     def at_points(of_pixels: np.ndarray) -> np.ndarray:
@@ -62,5 +62,5 @@ def with_cells(
 
 
 def rays_beside(light_samples: int) -> int:
-    """Rays of a pixel and lobe to cells that go with so many light samples: as many, but a divisor of CELL_RAYS."""
-    return min(1 << (light_samples.bit_length() - 1), CELL_RAYS)
+    """Rays of a pixel and lobe to cells that go with so many light samples: as many, up to CELL_RAYS."""
+    return min(light_samples, CELL_RAYS)

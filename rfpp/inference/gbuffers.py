@@ -16,7 +16,6 @@ from rfpp.gbuffer.cells import Cells
 from rfpp.gbuffer.first_hit import (
     BOUNCED_LIGHT,
     CELL_CHANNELS,
-    CHANNELS,
     DIRECT_CHANNELS,
     REFLECTION_CHANNELS,
     GBuffer,
@@ -31,6 +30,7 @@ from rfpp.gbuffer.object_light import object_light
 from rfpp.gbuffer.raycast import RayCaster
 from rfpp.inference.bounded_cache import BoundedCache
 from rfpp.inference.digest import digest_of
+from rfpp.model.view_channels import channel_sizes
 from rfpp.scene.packed import PackedScene
 from rfpp.scene.triangles import SceneTriangles
 
@@ -199,8 +199,8 @@ def direct_alone(gbuffer: Float[np.ndarray, "c h w"], names: Sequence[str]) -> F
     """
     nothing = dict.fromkeys(CELL_CHANNELS, NOWHERE) | dict.fromkeys((*REFLECTION_CHANNELS, BOUNCED_LIGHT), 0)
     alone, row = gbuffer.copy(), 0
-    for name in names:
-        rows = slice(row, row := row + CHANNELS[name])
+    for name, size in zip(names, channel_sizes(names, len(gbuffer)), strict=True):
+        rows = slice(row, row := row + size)
         if name in nothing:
             alone[rows] = nothing[name]
     return alone

@@ -16,10 +16,11 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from rfpp.gbuffer.first_hit import BOUNCED_LIGHT, CHANNELS, LIGHT_CHANNELS, GBuffer, channel, stack_channels
+from rfpp.gbuffer.first_hit import BOUNCED_LIGHT, LIGHT_CHANNELS, GBuffer, channel, stack_channels
 from rfpp.gbuffer.traces import Trace
 from rfpp.inference.gbuffers import GBufferSource
 from rfpp.inference.materials import MaterialTensors
+from rfpp.model.view_channels import channel_sizes
 from rfpp.packed_cells import PackedCells
 from rfpp.scene.packed import PackedScene
 from rfpp.scene.triangles import DIFFUSE, ROUGHNESS, SPECULAR
@@ -125,5 +126,5 @@ def amount_of(parameter: Tensor) -> Tensor:
 
 
 def _split(stacked: Float[np.ndarray, "c h w"], names: Sequence[str]) -> Mapping[str, Float[np.ndarray, "_ h w"]]:
-    places = np.cumsum([CHANNELS[name] for name in names])[:-1]
+    places = np.cumsum(channel_sizes(names, len(stacked)))[:-1]
     return dict(zip(names, np.split(stacked, places), strict=True))

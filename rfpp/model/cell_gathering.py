@@ -8,10 +8,11 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
-from rfpp.gbuffer.first_hit import BOUNCED_LIGHT, CELL_CHANNELS, CHANNELS
+from rfpp.gbuffer.first_hit import BOUNCED_LIGHT, CELL_CHANNELS
 from rfpp.model.couplings import of_rays
 from rfpp.model.joint_window import JointWindow
 from rfpp.model.lit_cells import LitCells
+from rfpp.model.view_channels import channel_sizes
 
 #: What is gathered of, beside the channels of a window.
 GATHERING_CHANNELS = (*CELL_CHANNELS, BOUNCED_LIGHT)
@@ -129,8 +130,9 @@ def lobes_of(
     Args:
         gbuffer: `GATHERING_CHANNELS` and the window's.
     """
-    sizes = [CHANNELS[name] for name in GATHERING_CHANNELS]
-    *rays, bounced, guides = gbuffer.split([*sizes, window.size], dim=1)
+    sizes = channel_sizes((*GATHERING_CHANNELS, *window.channels), gbuffer.shape[1])
+    of_cells = len(CELL_CHANNELS)
+    *rays, bounced, guides = gbuffer.split([*sizes[: of_cells + 1], window.size], dim=1)
     diffuse, glossy, diffuse_onward, glossy_onward = (cells.rows(seen) for seen in rays)
     further = cells.beyond_first()
     return (

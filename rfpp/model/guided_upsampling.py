@@ -44,15 +44,18 @@ class GuidedUpsampling:
             coarse, fine: `channels` of both kinds of pixels; a coarse one is a square of whole fine ones.
         """
         stride, (height, width) = fine.shape[-1] // coarse.shape[-1], fine.shape[-2:]
-        maps, guides = (_spread(x, stride) for x in (maps, coarse))
+        maps, guides = (_spread(x.contiguous(), stride) for x in (maps, coarse))  # heads give channels last
         near = [_nearness(size, stride, fine.device) for size in (height, width)]
-        total, weights = maps.new_zeros(*maps.shape[:2], height, width), fine.new_zeros(len(fine), 1, height, width)
+        places, weights = [], []
         for row, column in product(range(2), range(2)):
             here = (..., slice(row * stride, row * stride + height), slice(column * stride, column * stride + width))
             weight = near[0][row][:, None] * near[1][column] * (self._alike(fine, guides[here]) + self._OTHER)
-            total += weight * maps[here]
-            weights += weight
-        return total / weights
+            places.append(here)
+            weights.append(weight)
+        whole, carried = torch.stack(weights).sum(0), maps.new_zeros(*maps.shape[:2], height, width)
+        for here, weight in zip(places, weights, strict=True):
+            carried.addcmul_(weight / whole, maps[here])
+        return carried
 
     @torch.no_grad()
     def _alike(self, here: Float[Tensor, "n 6 h w"], there: Float[Tensor, "n 6 h w"]) -> Float[Tensor, "n 1 h w"]:

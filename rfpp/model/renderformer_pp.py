@@ -17,7 +17,7 @@ from rfpp.model.refinement import Refinement, Unrefined
 from rfpp.model.tokenizer import ObjectTokens, SceneTokens, TriangleTokens
 from rfpp.model.transport import IteratedTransport, Transport, TransportStates
 from rfpp.model.triangle_embedding import TexturePatchEmbedding, TriangleEmbedding
-from rfpp.model.view_channels import SIZES, ViewChannels
+from rfpp.model.view_channels import ViewChannels, channel_sizes
 from rfpp.model.view_decoder import ViewDecoder
 from rfpp.segments import Segments
 
@@ -149,7 +149,8 @@ class RenderFormerPP(nn.Module):
             supersampling, stride: see `ViewDecoder.forward`.
             refined: whether the image passes through the refinement, if there is one.
         """
-        to_decoder = gbuffer[:, :, : sum(SIZES[name] for name in self.decoder.gbuffer_channels)]
+        sizes = channel_sizes(self.gbuffer_channels, gbuffer.shape[2])
+        to_decoder = gbuffer[:, :, : sum(sizes[: len(self.decoder.gbuffer_channels)])]
         radiance = self.decoder(scenes.tokens, c2w, fov, to_decoder, scenes.exposure, supersampling, stride)
         if refined:
             surfaces = self._surfaces(gbuffer.flatten(0, 1), supersampling)

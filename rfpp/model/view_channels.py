@@ -18,6 +18,19 @@ SIZES = CHANNELS | dict.fromkeys(GATHERED_CHANNELS, 3)
 _LIGHT = (*LIGHT_CHANNELS, *GATHERED_CHANNELS)
 
 
+def channel_sizes(names: Sequence[str], count: int) -> list[int]:
+    """How many of so many stacked numbers each channel has: channels of cells one for each ray that was cast.
+
+    Raises ValueError if these channels cannot have so many.
+    """
+    of_cells = sum(name in CELL_CHANNELS for name in names)
+    others = sum(SIZES[name] for name in names if name not in CELL_CHANNELS)
+    rays = (count - others) // of_cells if of_cells else 0
+    if count != others + of_cells * rays or (of_cells and rays < 1):
+        raise ValueError(f"{count} G-buffer channels where {tuple(names)} were expected")
+    return [rays if name in CELL_CHANNELS else SIZES[name] for name in names]
+
+
 @dataclass(frozen=True)
 class ViewChannels:
     """G-buffers of N views.
@@ -33,8 +46,7 @@ class ViewChannels:
 
     def __post_init__(self) -> None:
         """Raises ValueError when there are other channels than named."""
-        if self.gbuffer.shape[1] != sum(SIZES[name] for name in self.names):
-            raise ValueError(f"{self.gbuffer.shape[1]} G-buffer channels where {tuple(self.names)} were expected")
+        channel_sizes(self.names, self.gbuffer.shape[1])
 
     def __call__(self, names: Sequence[str]) -> Float[Tensor, "n c h w"]:
         """Some of the channels, light as log10(1 + light / exposure)."""
@@ -62,7 +74,7 @@ class ViewChannels:
         return replace(self, gbuffer=torch.cat([self.gbuffer, light], dim=1), names=(*self.names, *GATHERED_CHANNELS))
 
     def _each(self, names: Sequence[str]) -> list[tuple[str, Float[Tensor, "n _ h w"]]]:
-        parts = self.gbuffer.split([SIZES[name] for name in self.names], dim=1)
+        parts = self.gbuffer.split(channel_sizes(self.names, self.gbuffer.shape[1]), dim=1)
         named = dict(zip(self.names, parts, strict=True))
         return [(name, named[name]) for name in names]
 

@@ -72,15 +72,14 @@ def test_points_of_a_pixel_share_its_rays():
 
 
 @pytest.mark.parametrize("rays", [1, 2])
-def test_fewer_rays_count_more_than_once_and_see_as_much(rays):
+def test_fewer_rays_see_as_much(rays):
     scene = pack((square(1.0), material(0.5, specular=0.3)), (sphere(0.2, (0, 0, 0.3)), material(0.5, specular=0.3)))
     (few, owner), (many, _) = (seen_by(scene, look_at((0, -1.5, 0.8)), rays=n) for n in (rays, CELL_RAYS))
     for name, cells in few.rays.items():
-        np.testing.assert_array_equal(cells[..., rays:], cells[..., :-rays])
+        assert cells.shape == (SIDE, SIDE, rays)
         # glossy rays are some that their lobe has not absorbed
         shares = [(owner[seen] == 1).mean() for seen in (cells, many.rays[name])]
         assert shares[0] == pytest.approx(shares[1], rel=0.2, abs=2e-3)
-    assert (few.diffuse[..., 0] != few.diffuse[..., rays - 1]).any() == (rays > 1)
 
 
 @pytest.mark.parametrize("rays", [1, 2])
@@ -94,7 +93,7 @@ def test_fewer_rays_bring_as_much_light(rays):
 
 
 def test_rays_go_with_the_samples_of_lights():
-    assert [rays_beside(n) for n in (1, 2, 3, 4, 5, 16, 100)] == [1, 2, 2, 4, 4, 4, 4]
+    assert [rays_beside(n) for n in (1, 2, 3, 4, 5, 16, 100)] == [1, 2, 3, 4, 4, 4, 4]
 
 
 def test_pixels_at_an_outline_send_as_many_rays_as_others():
