@@ -78,7 +78,8 @@ def measure(
 
     Args:
         checkpoint: see `rfpp.checkpoint.loading.load_network`.
-        samplings: of the network's methods: `light_samples` and `supersampling` of `Renderer.render`.
+        samplings: of the network's methods: `light_samples`, `supersampling` and `token_resolution` of
+            `Renderer.render`.
         samples: of Cycles' methods.
         rounds: how often all are timed.
         cycles: its settings but for the samples.
@@ -179,7 +180,7 @@ class Method(ABC):
 class ByNetwork(Method):
     """Attributes:
     renderer: of the network; every scene gets one that has seen nothing yet.
-    sampling: `light_samples` and `supersampling` of `Renderer.render`.
+    sampling: see `measure`.
     """
 
     renderer: Renderer
@@ -222,7 +223,8 @@ class ByCycles(Method):
 
     @property
     def samples(self) -> dict[str, int]:
-        return {"light_samples": 0, "supersampling": 0, "samples": self.settings.samples}
+        of_network = dict.fromkeys(("light_samples", "supersampling", "token_resolution"), 0)
+        return {**of_network, "samples": self.settings.samples}
 
     def pictures(self, scenes: Sequence[PackedScene], resolution: int) -> list[Taken]:
         asked = [scenes[-1], *(situation for scene in scenes for situation in _situations(scene))]

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from rfpp.gbuffer.compiled import compiled
-from rfpp.gbuffer.vectors import Triple, Vector
+from rfpp.gbuffer.vectors import BLACK, Triple, Vector, added, dot, scaled
 
 
 def form_factor(
@@ -39,38 +39,63 @@ def _each(
 @compiled
 def of_triangle(point: Vector, normal: Vector, corners: Float[np.ndarray, "3 3"]) -> float:
     """See `form_factor`: of one triangle at one point."""
-    total = 0.0
-    leaving, entering = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
-    cut = False
+    a, b, c = _away(point, corners[0]), _away(point, corners[1]), _away(point, corners[2])
+    above_a, above_b, above_c = dot(a, normal), dot(b, normal), dot(c, normal)
+    if above_a <= 0 and above_b <= 0 and above_c <= 0:
+        return 0.0
+    if above_a > 0 and above_b > 0 and above_c > 0:
+        return abs(_edge(a, b, normal) + _edge(b, c, normal) + _edge(c, a, normal)) / (2 * np.pi)
+    total, leaving, entering = 0.0, BLACK, BLACK
     for k in range(3):
-        a, ha = _seen(point, normal, corners[k])
-        b, hb = _seen(point, normal, corners[(k + 1) % 3])
-        if ha <= 0 and hb <= 0:
-            continue
-        if (ha > 0) != (hb > 0):
-            share, cut = ha / (ha - hb), True
-            crossing = a[0] + (b[0] - a[0]) * share, a[1] + (b[1] - a[1]) * share, a[2] + (b[2] - a[2]) * share
-            if ha > 0:
-                b = leaving = crossing
-            else:
-                a = entering = crossing
-        total += _edge(a, b, normal)
-    if cut:
-        total += _edge(leaving, entering, normal)
-    return abs(total) / (2 * np.pi)
+        if above_a > 0 or above_b > 0:
+            first, second = a, b
+            if above_a <= 0 or above_b <= 0:
+                share = above_a / (above_a - above_b)
+                crossing = added(a, scaled(added(b, scaled(a, -1.0)), share))
+                if above_a > 0:
+                    second = leaving = crossing
+                else:
+                    first = entering = crossing
+            total += _edge(first, second, normal)
+        a, b, c, above_a, above_b, above_c = b, c, a, above_b, above_c, above_a
+    return abs(total + _edge(leaving, entering, normal)) / (2 * np.pi)
 
 
 @compiled
-def _seen(point: Vector, normal: Vector, corner: Vector) -> tuple[Triple, float]:
-    """The corner from the point, and its height above the horizon."""
-    x, y, z = corner[0] - point[0], corner[1] - point[1], corner[2] - point[2]
-    return (x, y, z), x * normal[0] + y * normal[1] + z * normal[2]
+def _away(point: Vector, corner: Vector) -> Triple:
+    return corner[0] - point[0], corner[1] - point[1], corner[2] - point[2]
 
 
 @compiled
 def _edge(a: Vector, b: Vector, normal: Vector) -> float:
     """angle(a, b) · (unit a × b) · normal."""
+    size: float = 1 / np.sqrt(max(dot(a, a) * dot(b, b), 1e-60))
     x, y, z = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
-    size: float = np.sqrt(x * x + y * y + z * z)
-    angle: float = np.arctan2(size, a[0] * b[0] + a[1] * b[1] + a[2] * b[2])
-    return (x * normal[0] + y * normal[1] + z * normal[2]) * angle / max(size, 1e-30)
+    return (x * normal[0] + y * normal[1] + z * normal[2]) * size * _angle_over_sine(dot(a, b) * size)
+
+
+def _fitted(degree: int) -> tuple[float, ...]:
+    """Coefficients of a polynomial in x that is arccos(x) / sin(arccos(x)) for x in [0, 1], highest power first."""
+
+    def exact(x: np.ndarray) -> np.ndarray:
+        angle = np.arccos(x)
+        ratio: np.ndarray = angle / np.sin(angle)
+        return ratio
+
+    fit = np.polynomial.Chebyshev.interpolate(exact, degree, domain=[0, 1])
+    return tuple(fit.convert(kind=np.polynomial.Polynomial).coef[::-1].tolist())
+
+
+#: To 4e-9; an arctangent would take half of the time of direct light.
+_ANGLE_OVER_SINE = _fitted(10)
+
+
+@compiled
+def _angle_over_sine(cosine: float) -> float:
+    x, ratio = min(abs(cosine), 1.0), 0.0
+    for coefficient in _ANGLE_OVER_SINE:
+        ratio = ratio * x + coefficient
+    if cosine >= 0:
+        return ratio
+    obtuse: float = np.pi / np.sqrt(max(1 - x * x, 1e-30)) - ratio
+    return obtuse

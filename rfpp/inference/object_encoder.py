@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from hashlib import blake2b
 from itertools import pairwise
 
@@ -17,7 +18,8 @@ from rfpp.batch import RaggedBatch
 from rfpp.gbuffer.threads import cores
 from rfpp.inference.bounded_cache import BoundedCache
 from rfpp.model.renderformer_pp import EncodedScenes, RenderFormerPP
-from rfpp.model.tokenizer import SceneTokens
+from rfpp.model.tokenizer import SceneTokens, mean_by_object
+from rfpp.scene.triangles import EMISSION
 
 #: Triangles encoded at a time on a GPU, which one object would leave idle; this many bound the memory.
 _GPU_TRIANGLES = 1 << 15
@@ -31,7 +33,7 @@ class ObjectEncoder:
     An object's tokens depend on nothing but its own triangles: where they are, their normals, their reflectance, and
     what they emit in units of the scene's exposure. These numbers are the key, so whatever is edited, added or put in
     another order, only objects that are new to the encoder are encoded. A changed light changes the exposure and with
-    it what every emitter emits; other objects emit nothing in any unit and stay. A moved object is encoded again: its
+    it what every emitter emits, if the network reads that; other objects emit nothing in any unit and stay. A moved object is encoded again: its
     tokens are those of its old place up to rounding only, because the rotary angles are those of world coordinates.
 
     On a CPU every object is encoded alone. The sums inside a matrix product are ordered by its shape, so tokens of
@@ -80,7 +82,7 @@ class ObjectEncoder:
         Args:
             batch: on the CPU, at its exposure.
         """
-        keys = object_keys(batch, self.network.tokenizer.reads)
+        keys = object_keys(batch, self.network.tokenizer.reads, self.network.embedding.reads_emission)
         tokens = {key: self._kept.get(key) for key in keys}
         missing = {key: number for number, key in enumerate(keys) if tokens[key] is None}
         chunks = list(batch.object_chunks(list(missing.values()), self._triangles_at_once))
@@ -89,7 +91,12 @@ class ObjectEncoder:
             for number, part in zip(numbers, made, strict=True):
                 tokens[keys[number]] = part
                 self._kept.put(keys[number], part, _bytes(part))
-        return [tokens[key] for key in keys]
+        # an object with the same tokens may be brighter than it was
+        emitted = mean_by_object(batch.log_emission, batch).to(self.device)
+        return [
+            replace(tokens[key], log_light=of_object.expand(len(tokens[key].log_light), 3))
+            for key, of_object in zip(keys, emitted, strict=True)
+        ]
 
     def _made(self, batch: RaggedBatch, chunks: Sequence[list[int]]) -> Iterator[list[SceneTokens]]:
         """The tokens of each object of each chunk."""
@@ -117,13 +124,15 @@ def _on_one_core() -> None:
     threadpool_limits(1, user_api="openmp")
 
 
-def object_keys(batch: RaggedBatch, reads: Collection[str] = ()) -> list[bytes]:
+def object_keys(batch: RaggedBatch, reads: Collection[str] = (), emission: bool = True) -> list[bytes]:
     """A digest of everything an object's encoder sees, for each object of a batch on the CPU.
 
     Args:
         reads: of the tokenizer.
+        emission: whether it sees what is emitted.
     """
-    arrays = [batch.positions, batch.normals, batch.material, *([] if batch.texture is None else [batch.texture])]
+    material = batch.material if emission else batch.material[:, : EMISSION.start]
+    arrays = [batch.positions, batch.normals, material, *([] if batch.texture is None else [batch.texture])]
     arrays = [np.ascontiguousarray(array.numpy()) for array in arrays]
     octants = batch.octants.numpy().reshape(-1, 8, 3) if "cells" in reads else None
     keys = []

@@ -23,6 +23,9 @@ class TriangleEmbedding(nn.Module):
     Emitted radiance enters as log10(1 + e): it spans four orders of magnitude. Raises UserError for textured triangles.
     """
 
+    #: Whether what triangles emit makes a difference.
+    reads_emission = True
+
     def __init__(self, width: int, normal_frequencies: int):
         super().__init__()
         self.token = nn.Parameter(torch.empty(width).normal_(std=0.02))
@@ -47,6 +50,8 @@ class TriangleEmbedding(nn.Module):
 class LightlessEmbedding(TriangleEmbedding):
     """As TriangleEmbedding, of geometry and reflectance alone, for networks that are linear in light."""
 
+    reads_emission = False
+
     def _emission(self, batch: RaggedBatch) -> Float[Tensor, "m 3"]:
         return torch.zeros_like(batch.log_emission)
 
@@ -64,6 +69,7 @@ class TexturePatchEmbedding(nn.Module):
         patch_size: P, cells along a patch's side.
     """
 
+    reads_emission = True
     flat_normal: Tensor
     covered: Tensor
 

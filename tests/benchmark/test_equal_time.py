@@ -54,7 +54,7 @@ def test_a_row_for_each_scene_and_method_and_references_are_rendered_once(tmp_pa
                 str(tmp_path / "net"),
                 [SceneFile("six", path)],
                 16,
-                [{"light_samples": 16, "supersampling": 1}],
+                [{"light_samples": 16, "supersampling": 1, "token_resolution": 128}],
                 [1, 8],
                 1,
                 REFERENCE,
