@@ -68,11 +68,13 @@ class CellGrid:
     @cached_property
     def first(self) -> Int[np.ndarray, " o_plus_1"]:
         """Key of each object, and how many keys there are."""
-        return np.concatenate([[0], np.cumsum(8 * self._keys_of_octant)])
+        first: np.ndarray = np.concatenate([[0], np.cumsum(8 * self._keys_of_octant)])
+        return first
 
     @property
     def _keys_of_octant(self) -> Int[np.ndarray, " o"]:
-        return self.pieces.prod(-1) * DIRECTIONS * SIDES
+        count: np.ndarray = self.pieces.prod(-1) * DIRECTIONS * SIDES
+        return count
 
     def keys(
         self, triangle: Int[np.ndarray, " r"], point: Float[np.ndarray, "r 3"], back: np.ndarray
@@ -99,11 +101,12 @@ class CellGrid:
     def octants(self, keys: Int[np.ndarray, " c"]) -> Int[np.ndarray, " c"]:
         """8 · object + octant of each cell."""
         owner = np.searchsorted(self.first, keys, side="right") - 1
-        within: np.ndarray = (keys - self.first[owner]) // self._keys_of_octant[owner]
-        return 8 * owner + within
+        octants: np.ndarray = 8 * owner + (keys - self.first[owner]) // self._keys_of_octant[owner]
+        return octants
 
     def _sides_of_octants(self, keys: Int[np.ndarray, " c"]) -> Int[np.ndarray, " c"]:
-        return self.octants(keys) * SIDES + keys % SIDES
+        sides: np.ndarray = self.octants(keys) * SIDES + keys % SIDES
+        return sides
 
 
 def principal_axes(corners: Float[np.ndarray, "m 3 3"]) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, "3 3"]]:

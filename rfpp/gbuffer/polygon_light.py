@@ -46,7 +46,7 @@ def of_triangle(point: Vector, normal: Vector, corners: Float[np.ndarray, "3 3"]
     if above_a > 0 and above_b > 0 and above_c > 0:
         return abs(_edge(a, b, normal) + _edge(b, c, normal) + _edge(c, a, normal)) / (2 * np.pi)
     total, leaving, entering = 0.0, BLACK, BLACK
-    for k in range(3):
+    for _ in range(3):
         if above_a > 0 or above_b > 0:
             first, second = a, b
             if above_a <= 0 or above_b <= 0:
@@ -76,14 +76,9 @@ def _edge(a: Vector, b: Vector, normal: Vector) -> float:
 
 def _fitted(degree: int) -> tuple[float, ...]:
     """Coefficients of a polynomial in x that is arccos(x) / sin(arccos(x)) for x in [0, 1], highest power first."""
-
-    def exact(x: np.ndarray) -> np.ndarray:
-        angle = np.arccos(x)
-        ratio: np.ndarray = angle / np.sin(angle)
-        return ratio
-
-    fit = np.polynomial.Chebyshev.interpolate(exact, degree, domain=[0, 1])
-    return tuple(fit.convert(kind=np.polynomial.Polynomial).coef[::-1].tolist())
+    middle = (np.cos(np.pi * (np.arange(degree + 1) + 0.5) / (degree + 1)) + 1) / 2  # Chebyshev's points
+    angle = np.arccos(middle)
+    return tuple(np.polyfit(middle, angle / np.sin(angle), degree).tolist())
 
 
 #: To 4e-9; an arctangent would take half of the time of direct light.

@@ -91,13 +91,15 @@ class Surface:
     ) -> Surface:
         """The pixels of a G-buffer that hit something, row by row."""
         pixel = np.flatnonzero(gbuffer.hit)
-        vectors, alpha = np.empty((5, len(pixel), 3)), np.empty(len(pixel))
+        point, normal, view, diffuse, specular = np.empty((5, len(pixel), 3))
+        alpha = np.empty(len(pixel))
         seen = (gbuffer.triangle.reshape(-1), gbuffer.normal.reshape(-1, 3), gbuffer.depth.reshape(-1))
-        plane = pixel_plane(*gbuffer.depth.shape, gbuffer.points).reshape(-1, 2)
+        height, width = gbuffer.depth.shape
+        plane = pixel_plane(height, width, gbuffer.points).reshape(-1, 2)
         slope, pose = np.tan(np.radians(float(fov)) / 2), c2w.astype(np.float64)
-        scene = triangles.positions, triangles.material
-        over_rows(len(pixel), _seen, *scene, pixel, *seen, plane, slope, pose, *vectors, alpha)
-        return cls(*vectors, alpha)
+        scene, found = (triangles.positions, triangles.material), (point, normal, view, diffuse, specular, alpha)
+        over_rows(len(pixel), _seen, *scene, pixel, *seen, plane, slope, pose, *found)
+        return cls(point, normal, view, diffuse, specular, alpha)
 
     def __len__(self) -> int:
         return len(self.point)

@@ -33,8 +33,9 @@ class ObjectEncoder:
     An object's tokens depend on nothing but its own triangles: where they are, their normals, their reflectance, and
     what they emit in units of the scene's exposure. These numbers are the key, so whatever is edited, added or put in
     another order, only objects that are new to the encoder are encoded. A changed light changes the exposure and with
-    it what every emitter emits, if the network reads that; other objects emit nothing in any unit and stay. A moved object is encoded again: its
-    tokens are those of its old place up to rounding only, because the rotary angles are those of world coordinates.
+    it what every emitter emits, if the network reads that; other objects emit nothing in any unit and stay. A moved
+    object is encoded again: its tokens are those of its old place up to rounding only, because the rotary angles are
+    those of world coordinates.
 
     On a CPU every object is encoded alone. The sums inside a matrix product are ordered by its shape, so tokens of
     objects that share one differ in the last bits with the company; alone, they are the same bits in every scene. Small

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from rfpp.model.bounces import DullBounce, GlossyBounce
 from rfpp.model.couplings import Corrections, DenseCouplings, RayCouplings
+from rfpp.model.lit_cells import Reflectance
 from rfpp.packed_cells import PackedCells
 
 #: Of what arrives at a cell at least so much comes from nowhere, where that has to be guessed.
@@ -20,9 +21,6 @@ _LEAST_ESCAPING = 0.02
 
 class CastFormFactors:
     """Of the rays stored with each cell (Embree): exact but for their number."""
-
-    #: Rays know where glossy lobes send light.
-    bounce = GlossyBounce
 
     def __call__(self, cells: PackedCells, corrections: Corrections | None = None) -> RayCouplings:
         """A: form factors, each times its correction, if there are any, and again 1 together with what escapes."""
@@ -33,14 +31,18 @@ class CastFormFactors:
             sink = sink * corrections.of_escape()
         return RayCouplings(cells, weight, sink)
 
+    def bounce(
+        self, cells: PackedCells, reflectance: Reflectance, corrections: Corrections | None = None
+    ) -> GlossyBounce:
+        """What these couplings do to light: rays know where glossy lobes send it."""
+        return GlossyBounce(cells, self(cells, corrections), reflectance)
+
 
 class UnoccludedFormFactors:
     """cosᵢ cosⱼ Aⱼ / (π d² + Aⱼ) between centres and mean normals, as if nothing stood in between.
 
     For surfaces far apart the form factor of a differential area to a small one; for near ones bounded by 1.
     """
-
-    bounce = DullBounce
 
     def __call__(self, cells: PackedCells, corrections: Corrections | None = None) -> DenseCouplings:
         """As `CastFormFactors`; rows that would exceed 1 are made to fit when they are normalised."""
@@ -49,6 +51,12 @@ class UnoccludedFormFactors:
         if corrections is not None:
             seen, sink = seen * corrections.of_pairs(cells), sink * cells.padded(corrections.of_escape())
         return DenseCouplings(cells, seen, sink)
+
+    def bounce(
+        self, cells: PackedCells, reflectance: Reflectance, corrections: Corrections | None = None
+    ) -> DullBounce:
+        """What these couplings do to light."""
+        return DullBounce(cells, self(cells, corrections), reflectance)
 
     def _seen(self, cells: PackedCells) -> Float[Tensor, "b longest longest"]:
         centre, normal, area = (cells.padded(x) for x in (cells.centre, cells.normal, cells.area[:, None]))

@@ -91,25 +91,23 @@ class LinearTransport(nn.Module):
         tokens, cells = told_apart(self.encoder(told_apart(tokens)).tokens), tokens.unlit_cells
         features = self.cell_features(tokens, cells)
         with in_float32(features):
-            reflectance, couplings, bounce = self._operator(features.float(), cells)
-            first = self.irradiance(cells, couplings)
+            bounce = self._operator(features.float(), cells)
+            first = self.irradiance(cells, bounce.couplings)
             states = light_after(first, bounce, count)
         before = (torch.zeros_like(first), *states)
         lit = [
-            replace(tokens, cells=LitCells(cells, features, reflectance, first, now, earlier))
+            replace(tokens, cells=LitCells(cells, features, bounce.reflectance, first, now, earlier))
             for now, earlier in zip(states, before, strict=False)
         ]
-        return lit, states, couplings
+        return lit, states, bounce.couplings
 
-    def _operator(
-        self, features: Float[Tensor, "c width"], cells: PackedCells
-    ) -> tuple[Reflectance, Couplings, DullBounce]:
-        """ρ of every cell, A, and what they do to light."""
+    def _operator(self, features: Float[Tensor, "c width"], cells: PackedCells) -> DullBounce:
+        """What A and ρ do to light."""
         projected = F.linear(features, self.corrections.weight.float())
         query, key, escape = projected.split([self.rank, self.rank, 1], dim=-1)
-        couplings = self.form_factors(cells, Corrections(query, key, escape[:, 0], self.bound))
+        learned = Corrections(query, key, escape[:, 0], self.bound)
         reflectance = Reflectance(cells.diffuse, cells.specular).bounded(HIGHEST_ALBEDO)
-        return reflectance, couplings, self.form_factors.bounce(cells, couplings, reflectance)
+        return self.form_factors.bounce(cells, reflectance, learned)
 
 
 def told_apart(tokens: SceneTokens) -> SceneTokens:

@@ -47,7 +47,7 @@ class UnlearnedRadiosity(nn.Module):
         cells, (scenes, views, _, *size) = batch.cells, batch.gbuffer.shape
         height, width = (points // supersampling for points in size)
         reflectance = Reflectance(cells.diffuse, cells.specular).bounded(1.0)
-        bounce = self.form_factors.bounce(cells, self.form_factors(cells), reflectance)
+        bounce = self.form_factors.bounce(cells, reflectance)
         states = light_after(cells.arriving, bounce, self.iterations)
         before = (torch.zeros_like(states[0]), *states)[self.iterations]
         lit = LitCells(cells, cells.area[:, None], reflectance, states[0], states[-1], before)

@@ -1,4 +1,4 @@
-"""Compiled loops are kept on disk until any of their sources changes, and make no arrays."""
+"""Compiled loops are kept on disk until any of their sources changes, make no arrays and call no loops."""
 
 import shutil
 import subprocess
@@ -53,3 +53,26 @@ def test_a_loop_that_makes_an_array_is_refused():
     """Then Numba would count references to all arrays that it is given, and threads would wait for each other."""
     with pytest.raises(NumbaError, match="NRT required|returning of array"):
         makes_an_array()
+
+
+@compiled.compiled
+def long_enough_to_be_called(values: np.ndarray, row: int) -> float:
+    total = 0.0
+    for k in range(row):
+        total += (
+            np.sin(values[k]) * np.cos(total) + np.exp(-values[k]) * np.sqrt(abs(total)) + np.arctan2(total, values[k])
+        )
+        while total > 2:
+            total -= np.log(1 + total) * np.tanh(total)
+    return total
+
+
+@compiled.compiled
+def makes_two_calls(values: np.ndarray, row: int) -> float:
+    return long_enough_to_be_called(values, row) - long_enough_to_be_called(values[1:], row)
+
+
+def test_what_a_loop_calls_is_part_of_it():
+    makes_two_calls(np.ones(4), 3)
+    [assembly] = makes_two_calls.inspect_asm().values()
+    assert not [line for line in assembly.splitlines() if "long_enough" in line and "NumbaEnv" not in line]
