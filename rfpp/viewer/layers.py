@@ -18,8 +18,8 @@ from rfpp.scene.packed import PackedScene
 
 Picture = UInt8[np.ndarray, "h w 3"]
 Size = tuple[int, int]
-#: Of `Renderer.render`: twice as fast as usual, with more noise and rougher outlines.
-_DRAFT = {"light_samples": 1, "supersampling": 1}
+#: Of `Renderer.render`: three times as fast as usual, with more noise and rougher outlines.
+_DRAFT = {"light_samples": 1, "supersampling": 1, "token_resolution": 64}
 
 
 class Layer(ABC):

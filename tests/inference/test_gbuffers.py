@@ -7,11 +7,13 @@ import pytest
 from edited_scenes import changed, dimmed, lamp, moved, recoloured, scene
 
 import rfpp.inference.gbuffers
+from rfpp.gbuffer.first_hit import BOUNCED_LIGHT, CELL_CHANNELS
 from rfpp.inference.gbuffers import GBufferSource
 from rfpp.scene.packed import pack
 
 PAPER = ("albedo", "normal", "roughness")
 LIT = (*PAPER, "specular", "direct_diffuse", "direct_glossy")
+GATHERED = (*LIT, *CELL_CHANNELS, BOUNCED_LIGHT)
 
 
 def stacked(source: GBufferSource, of, resolution: int = 16) -> np.ndarray:
@@ -24,7 +26,7 @@ def stacked(source: GBufferSource, of, resolution: int = 16) -> np.ndarray:
 def cast(monkeypatch) -> list[str]:
     """What was cast or built, as it happens."""
     log: list[str] = []
-    for name in ("first_hit", "camera_caster", "LightSampler", "RayCaster"):
+    for name in ("first_hit", "camera_caster", "LightSampler", "RayCaster", "find_places"):
         real = getattr(rfpp.inference.gbuffers, name)
         monkeypatch.setattr(
             rfpp.inference.gbuffers, name, lambda *args, name=name, real=real: log.append(name) or real(*args)
@@ -32,15 +34,15 @@ def cast(monkeypatch) -> list[str]:
     return log
 
 
-@pytest.mark.parametrize("channels", [PAPER, LIT])
+@pytest.mark.parametrize("channels", [PAPER, LIT, GATHERED])
 @pytest.mark.parametrize("edit", [recoloured, dimmed])
-def test_other_colours_and_powers_leave_first_hits_as_they_are(channels, edit, cast):
+def test_other_colours_and_powers_leave_first_hits_and_places_of_cells_as_they_are(channels, edit, cast):
     source = GBufferSource(channels)
     before = stacked(source, scene())
-    assert cast.count("first_hit") == 3
+    assert cast.count("first_hit") == 3 and cast.count("find_places") == (channels == GATHERED)
     cast.clear()
     after = stacked(source, edit(scene()))
-    assert not {"first_hit", "camera_caster", "RayCaster"} & set(cast)
+    assert not {"first_hit", "camera_caster", "RayCaster", "find_places"} & set(cast)
     np.testing.assert_array_equal(after, stacked(GBufferSource(channels), edit(scene())))
     assert np.array_equal(before, after) == (channels == PAPER and edit is dimmed)
 

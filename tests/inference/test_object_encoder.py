@@ -12,9 +12,14 @@ from random_scenes import random_views
 from rfpp import Renderer
 from rfpp.batch import RaggedBatch
 from rfpp.inference.object_encoder import ObjectEncoder, object_keys
+from rfpp.scene.packed import pack
 
-#: The paper's network, and one that is given direct light and sees scenes at their exposure.
-NETWORKS = {"paper": (), "exposed": ("experiment=quickstart", "model=known_light")}
+#: The paper's network, one that is given direct light and sees scenes at their exposure, and one that reads no light.
+NETWORKS = {
+    "paper": (),
+    "exposed": ("experiment=quickstart", "model=known_light"),
+    "lightless": ("experiment=quickstart", "model=linear_light"),
+}
 CPU = torch.device("cpu")
 
 
@@ -27,19 +32,19 @@ def views(seed: int = 0, sizes=(12, 5, 40, 1)):
 
 
 @pytest.mark.parametrize(
-    ("edit", "paper", "exposed"),
+    ("edit", "paper", "exposed", "lightless"),
     [
         # where a scene is seen at its exposure, whatever light arrives changes what both lights emit
-        (moved, 1, 1 + 2),
-        (recoloured, 1, 1),
-        (dimmed, 1, 2),
-        (added, 1, 1 + 2),
-        (removed, 0, 2),
-        (reordered, 0, 0),
+        (moved, 1, 1 + 2, 1),
+        (recoloured, 1, 1, 1),
+        (dimmed, 1, 2, 0),
+        (added, 1, 1 + 2, 1),
+        (removed, 0, 2, 0),
+        (reordered, 0, 0, 0),
     ],
 )
-def test_an_edit_encodes_what_changed_and_is_exact(edit, paper, exposed):
-    for name, expected in (("paper", paper), ("exposed", exposed)):
+def test_an_edit_encodes_what_changed_and_is_exact(edit, paper, exposed, lightless):
+    for name, expected in (("paper", paper), ("exposed", exposed), ("lightless", lightless)):
         warm = renderer(name)
         before = warm.render(scene())
         known = warm.objects.encoded
@@ -133,3 +138,11 @@ def test_networks_of_triangle_tokens_are_rendered_whole():
     whole = Renderer(network("model=renderformer"), checkpoint_info())
     assert whole.objects is None
     assert np.isfinite(whole.render(scene())).all()
+
+
+def test_tokens_that_are_kept_say_what_their_object_emits_now():
+    warm, fresh = renderer("lightless"), renderer("lightless")
+    bright = warm.objects.tokenize(warm.batch(pack(scene())))[1].log_light
+    now, expected = (one.objects.tokenize(one.batch(pack(dimmed(scene()))))[1].log_light for one in (warm, fresh))
+    torch.testing.assert_close(now, expected, rtol=0, atol=0)
+    assert not torch.equal(now, bright)

@@ -77,7 +77,7 @@ def test_what_a_network_shades_is_a_draft_in_motion_and_in_full_at_rest():
                 visitor.change(camera=camera)
             pictures = [drawn.get(timeout=60).picture for _ in range(2)]
             of_camera = pack(view.scene).seen_by([camera])
-            draft = linear.render(of_camera, 16, light_samples=1, supersampling=1)[0]
+            draft = linear.render(of_camera, 16, light_samples=1, supersampling=1, token_resolution=64)[0]
             np.testing.assert_array_equal(pictures[0], view.tone_map(draft))
             np.testing.assert_array_equal(pictures[1], expected(linear, visitor.view))
             assert (pictures[0] != pictures[1]).any()
