@@ -118,7 +118,7 @@ def principal_axes(corners: Float[np.ndarray, "m 3 3"]) -> tuple[Float[np.ndarra
     """
     area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=-1)
     area = area / max(area.sum(), 1e-30)
-    centroid = area @ corners.mean(1)
+    centroid = np.einsum("m,mi->i", area, corners.mean(1))
     spread = corners - centroid
     total = spread.sum(1)
     moment = (np.einsum("mci,mcj,m->ij", spread, spread, area) + np.einsum("mi,mj,m->ij", total, total, area)) / 12
@@ -129,15 +129,15 @@ def principal_axes(corners: Float[np.ndarray, "m 3 3"]) -> tuple[Float[np.ndarra
     while open_axes:
         alike = [axis for axis, s in zip(open_axes, sizes, strict=True) if sizes[0] - s <= _SYMMETRIC * size[-1]]
         if len(alike) > 1:
-            within = vertices @ np.stack(alike).T
+            within = np.einsum("vi,ki->vk", vertices, np.stack(alike))
             farthest = within[_first_largest(np.square(within).sum(-1))]
             turned = np.linalg.qr(np.column_stack([farthest, np.eye(len(alike))]))[0].T @ np.stack(alike)
             open_axes[: len(alike)] = list(turned)
         axes.append(open_axes.pop(0))
         sizes.pop(0)
     rows = np.stack(axes)
-    tail = area @ ((corners.mean(1) - centroid) @ rows.T) ** 3
-    along = vertices @ rows.T
+    tail = np.einsum("m,mk->k", area, np.einsum("mi,ki->mk", corners.mean(1) - centroid, rows) ** 3)
+    along = np.einsum("vi,ki->vk", vertices, rows)
     ends = np.array([row[_first_largest(np.abs(row))] for row in along.T])
     side = np.where(np.abs(tail) > _SYMMETRIC * np.abs(ends) ** 3, tail, ends)
     rows = rows * np.where(side < 0, -1.0, 1.0)[:, None]

@@ -100,4 +100,5 @@ def _outwards(
     offset, nearly = (corners[:, 0] * outwards).sum(-1), 1e-4 * np.abs(corners - middle).max()
     convex = (corners.reshape(-1, 3) @ outwards.T < offset + nearly).all()
     closed = np.linalg.norm((outwards * area[:, None]).sum(0)) < 1e-4 * area.sum()  # then vector areas cancel
-    return outwards, bool(convex and closed and not (others @ outwards.T < offset).all(-1).any())
+    within = (np.einsum("ni,ei->ne", others, outwards) < offset).all(-1).any()
+    return outwards, bool(convex and closed and not within)

@@ -1,4 +1,8 @@
-"""Compiled loops over many rows, on all of the processor's cores that this process may use."""
+"""Compiled loops over many rows, on all of the processor's cores that this process may use.
+
+Between them NumPy multiplies no large matrices (`np.einsum` does without BLAS): OpenBLAS's threads go on spinning for
+tens of milliseconds after each product, and take the cores from the loops.
+"""
 
 from __future__ import annotations
 
