@@ -50,9 +50,9 @@ class RayCouplings:
 
     def divergence(self) -> Float[Tensor, ""]:
         """See `Couplings`: rays with the same end are alike, so each is compared with its own share."""
-        meets, rays = self.cells.hits >= 0, self.cells.hits.shape[1]
+        meets, rays = (self.cells.hits >= 0).to(self.share), self.cells.hits.shape[1]
         by_cells = (meets * -(rays * self.share.clamp_min(_LEAST_SHARE)).log()).sum(-1) / rays
-        escaping = (~meets).to(self.share).mean(-1)
+        escaping = 1 - meets.mean(-1)
         missed = torch.xlogy(escaping, escaping) - escaping * self.escaping.clamp_min(_LEAST_SHARE).log()
         return (by_cells + missed).mean()
 

@@ -24,8 +24,8 @@ class CastFormFactors:
 
     def __call__(self, cells: PackedCells, corrections: Corrections | None = None) -> RayCouplings:
         """A: form factors, each times its correction, if there are any, and again 1 together with what escapes."""
-        meets = cells.hits >= 0
-        weight, sink = meets / cells.hits.shape[1], (~meets).to(cells.area).mean(-1)
+        meets = (cells.hits >= 0).to(cells.area)
+        weight, sink = meets / cells.hits.shape[1], 1 - meets.mean(-1)
         if corrections is not None:
             weight = weight * corrections.of_rays(cells.rows(cells.hits))
             sink = sink * corrections.of_escape()
