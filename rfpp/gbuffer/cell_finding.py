@@ -12,6 +12,7 @@ from rfpp.gbuffer.cells import CellMap, Cells
 from rfpp.gbuffer.direct_light import gathered
 from rfpp.gbuffer.light_sampler import LightSampler
 from rfpp.gbuffer.ray_ends import follow_rays
+from rfpp.gbuffer.surface import Surface
 from rfpp.gbuffer.traces import Trace
 from rfpp.scene.triangles import DIFFUSE, EMISSION, ROUGHNESS, SPECULAR
 
@@ -40,7 +41,8 @@ def cells_at(places: CellPlaces, sampler: LightSampler) -> tuple[Cells, CellSour
     """The cells of a scene at their places, and what their numbers are made of."""
     rng = np.random.default_rng(1)
     triangles, seen, rays = sampler.triangles, places.points, places.rays
-    surface = seen.surface(triangles)
+    from_above = seen.position + places.normal
+    surface = Surface.at(triangles, seen.triangle, seen.position, places.normal, from_above)
     dull = replace(surface, specular=np.zeros_like(surface.specular))  # only irradiance is wanted
     arriving = gathered(sampler, dull, 1, rng)[0]
     ends = follow_rays(sampler, places.map, rays.origin, rays.way, rays.cosine / np.pi, rng)

@@ -13,7 +13,6 @@ from rfpp.gbuffer.cells import CellMap
 from rfpp.gbuffer.compiled import compiled
 from rfpp.gbuffer.lit_scene import CLEARANCE
 from rfpp.gbuffer.raycast import RayCaster
-from rfpp.gbuffer.surface import Surface
 from rfpp.gbuffer.threads import over_rows
 from rfpp.gbuffer.vectors import GOLDEN, added, in_world, scaled, tangents, triple
 from rfpp.scene.triangles import SceneTriangles
@@ -85,14 +84,15 @@ def find_places(triangles: SceneTriangles, caster: RayCaster) -> CellPlaces:
     kept = _reached(hits, keys, grid)
     renumbered = np.append(np.where(kept, np.cumsum(kept) - 1, NOWHERE), NOWHERE)
     seen, of_cell = _seen_points(even, cell, met, hits[hits != NOWHERE], renumbered, rng)
+    normal = seen.normal(triangles)
     return CellPlaces(
         map=CellMap(grid, keys, renumbered[:-1]),
         octant=grid.octants(keys[kept]).astype(np.int32),
         area=np.bincount(cell, weight)[kept].astype(np.float32),
         points=seen,
         cell=of_cell,
-        normal=seen.normal(triangles),
-        rays=_rays(triangles, seen, of_cell, rng),
+        normal=normal,
+        rays=_rays(seen.position, normal, of_cell, rng),
     )
 
 
@@ -120,11 +120,6 @@ class SidePoints:
         facing: np.ndarray = unit[self.triangle] * np.where(self.back, -1.0, 1.0)[:, None]
         return facing
 
-    def surface(self, triangles: SceneTriangles) -> Surface:
-        """Seen from straight above."""
-        normal = self.normal(triangles)
-        return Surface.at(triangles, self.triangle, self.position, normal, self.position + normal)
-
 
 def _even_points(
     triangles: SceneTriangles, grid: CellGrid, rng: np.random.Generator
@@ -147,17 +142,22 @@ def _even_points(
     return SidePoints(np.tile(triangle, 2), np.tile(position, (2, 1)), back), np.tile(size / count[owner], 2)
 
 
-def _rays(triangles: SceneTriangles, points: SidePoints, cell: Int[np.ndarray, " r"], rng: np.random.Generator) -> Rays:
+def _rays(
+    position: Float[np.ndarray, "r 3"],
+    normal: Float[np.ndarray, "r 3"],
+    cell: Int[np.ndarray, " r"],
+    rng: np.random.Generator,
+) -> Rays:
     """Of each cell.
 
     Args:
-        points: where rays start, in turn; at least one of every cell.
+        position, normal: of points where rays start, in turn; at least one of every cell.
         cell: of the points, ascending.
     """
     count = np.bincount(cell)
     origin, way = np.empty((2, RAYS * len(count), 3))
     cosine = np.empty(RAYS * len(count))
-    starts = points.position, points.normal(triangles), np.cumsum(count) - count, count
+    starts = position, normal, np.cumsum(count) - count, count
     over_rows(len(cosine), _leave, *starts, rng.random((len(count), 2)), origin, way, cosine)
     return Rays(origin, way, cosine)
 
@@ -200,7 +200,7 @@ def _where_light_goes(
     rng: np.random.Generator,
 ) -> tuple[Int[np.ndarray, "c rays"], SidePoints]:
     """The cells in which RAYS rays from each cell end, and the ends, of those that end in one."""
-    rays = _rays(triangles, points, cell, rng)
+    rays = _rays(points.position, points.normal(triangles), cell, rng)
     origin, way = rays.origin, rays.way
     hits = caster.cast(origin, way)
     met = np.flatnonzero(hits.triangle >= 0)

@@ -66,14 +66,6 @@ def _away(point: Vector, corner: Vector) -> Triple:
     return corner[0] - point[0], corner[1] - point[1], corner[2] - point[2]
 
 
-@compiled
-def _edge(a: Vector, b: Vector, normal: Vector) -> float:
-    """angle(a, b) · (unit a × b) · normal."""
-    size: float = 1 / np.sqrt(max(dot(a, a) * dot(b, b), 1e-60))
-    x, y, z = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
-    return (x * normal[0] + y * normal[1] + z * normal[2]) * size * _angle_over_sine(dot(a, b) * size)
-
-
 def _fitted(degree: int) -> tuple[float, ...]:
     """Coefficients of a polynomial in x that is arccos(x) / sin(arccos(x)) for x in [0, 1], highest power first."""
     middle = (np.cos(np.pi * (np.arange(degree + 1) + 0.5) / (degree + 1)) + 1) / 2  # Chebyshev's points
@@ -81,16 +73,19 @@ def _fitted(degree: int) -> tuple[float, ...]:
     return tuple(np.polyfit(middle, angle / np.sin(angle), degree).tolist())
 
 
-#: To 4e-9; an arctangent would take half of the time of direct light.
+#: To 4e-9; with arctangents direct light takes a twentieth longer.
 _ANGLE_OVER_SINE = _fitted(10)
 
 
 @compiled
-def _angle_over_sine(cosine: float) -> float:
-    x, ratio = min(abs(cosine), 1.0), 0.0
+def _edge(a: Vector, b: Vector, normal: Vector) -> float:
+    """angle(a, b) · (unit a × b) · normal."""
+    across = (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
+    scale = 1 / np.sqrt(max(dot(a, a) * dot(b, b), 1e-60))
+    cosine, ratio = dot(a, b) * scale, 0.0
     for coefficient in _ANGLE_OVER_SINE:
-        ratio = ratio * x + coefficient
-    if cosine >= 0:
-        return ratio
-    obtuse: float = np.pi / np.sqrt(max(1 - x * x, 1e-30)) - ratio
-    return obtuse
+        ratio = ratio * min(abs(cosine), 1.0) + coefficient
+    if cosine < 0:  # π less the angle to -b; the sine of a × b, which 1 - cosine² would lose beside an edge
+        ratio = np.pi / max(np.sqrt(dot(across, across)) * scale, 1e-30) - ratio
+    found: float = dot(across, normal) * scale * ratio
+    return found

@@ -146,6 +146,21 @@ def test_light_of_a_solid_lamp_carries_no_noise(lamp):
     np.testing.assert_array_equal(light(scene, samples=1).diffuse, light(scene, samples=8, seed=3).diffuse)
 
 
+@pytest.mark.parametrize("away", [1.0, 1e-2, 1e-5, 1e-8, 1e-11])
+def test_the_formula_is_that_of_arctangents_also_beside_an_edge(away):
+    """Between the corners of an edge that lies all but in the point, where the angle is nearly a half turn."""
+    rng = np.random.default_rng(0)
+    points = np.stack([rng.uniform(-0.9, 0.9, 50), np.full(50, -1.0 - away), np.full(50, 1.0 - away)], axis=-1)
+    normals = np.tile([0.0, 0.0, 1.0], (50, 1))
+    lamp = np.array([[[-1, -1, 1], [1, -1, 1], [0, 1, 1.5]]])
+    ways = lamp[0] - points[:, None]
+    after = np.roll(ways, -1, axis=1)
+    across = np.cross(ways, after)
+    sine = np.linalg.norm(across, axis=-1)
+    expected = np.abs((np.arctan2(sine, (ways * after).sum(-1)) * across[..., 2] / sine).sum(-1)) / (2 * np.pi)
+    np.testing.assert_allclose(form_factor(points, normals, lamp)[:, 0], expected, rtol=1e-6, atol=1e-8)
+
+
 def test_an_emissive_mesh_is_one_light_in_every_way():
     lamp, floor = sphere(0.2, (0.3, 0.2, 0.9), subdivisions=2), (square(), material(0.5, specular=0.4, roughness=0.4))
     glowing = material(1.0, emission=20.0)
