@@ -60,11 +60,13 @@ def with_known_light(
     surface = Surface.seen(gbuffer, sampler.triangles, c2w, fov)
     height, width = (side // gbuffer.points for side in gbuffer.depth.shape)
     of_image = surface.points(gbuffer.hit, gbuffer.points)
+    places = np.ascontiguousarray(np.concatenate([of_image.point, of_image.normal], axis=1).T)
     light = np.zeros((4, len(surface), 3), np.float32)
     diffuse, glossy, reflected, albedo = light
     keys = np.random.default_rng(seed).integers(1 << 62, size=2).tolist()
+    sums, unhidden = np.empty((len(surface), SUMS)), np.empty((4, len(surface)))
     for number in np.flatnonzero(sampler.scene.shining).tolist():
-        _add_light(sampler, number, of_image, (height, width), samples, keys[0], diffuse, glossy)
+        _add_light(sampler, number, of_image, places, (height, width), samples, keys[0], sums, unhidden, diffuse, glossy)
     trace = Trace.of(len(surface), samples if traced else 0)
     image = (of_image, samples, reflects, keys[1], glossy, reflected, albedo, trace)
     over_rows(len(surface), lobe_rays, sampler.scene, *image)
@@ -80,19 +82,27 @@ def _add_light(
     sampler: LightSampler,
     number: int,
     points: Points,
+    places: Float[np.ndarray, "6 r"],
     size: tuple[int, int],
     samples: int,
     key: int,
+    sums: Float[np.ndarray, "r sums"],
+    unhidden: Float[np.ndarray, "4 r"],
     diffuse: Float32[np.ndarray, "r 3"],
     glossy: Float32[np.ndarray, "r 3"],
 ) -> None:
-    """Adds what one light brings."""
+    """Adds what one light brings.
+
+    Args:
+        places: of the points and their normals, row by row, as loops over many points at once read them.
+        sums, unhidden: room for what its samples come to, and its light by formula.
+    """
     rows, scene = len(points.pixel), sampler.scene
-    edge, sums = np.ones(size[0] * size[1], np.bool_), np.zeros((rows, SUMS))
+    edge = np.ones(size[0] * size[1], np.bool_)
     few = min(-(-_PROBES // points.of_pixel), samples)
     over_rows(rows, light_samples, scene, number, points, 0, few, edge, key, sums)
     if few < samples:
         counts = np.zeros(len(edge), np.uint8), np.zeros((len(edge), 3))
-        find_edges(points, sums, few, *size, _REACH, *counts, edge)
+        find_edges(scene, number, points, sums, few, *size, _REACH, *counts, edge)
         over_rows(rows, light_samples, scene, number, points, few, samples, edge, key, sums)
-    over_rows(rows, of_light, scene, number, points, edge, few, samples, sums, diffuse, glossy)
+    over_rows(rows, of_light, scene, number, points, places, edge, few, samples, sums, unhidden, diffuse, glossy)

@@ -18,16 +18,22 @@ from rfpp.gbuffer.vectors import BLACK, Triple, Vector, added, dot, in_frame, in
 WIDE = 0.1
 #: Lights that each of many rays samples where it ends.
 _AT_ONCE = 4
+#: See `sides_facing`.
+Sides = tuple[int, float]
 
 
 @compiled
 def light_sample(
-    scene: LitScene, light: int, point: Vector, normal: Vector, u: float, v: float
+    scene: LitScene, light: int, sides: Sides, point: Vector, normal: Vector, u: float, v: float
 ) -> tuple[int, Triple, float, float, bool]:
     """A point of a light: its emitter, direction, density per solid angle, what would arrive of the mean radiance with
-    nothing in between, and whether nothing is."""
-    share = share_facing(scene, light, point)
-    e, rest = _facing_emitter(scene, light, point, u * share) if share < 1 else _emitter_at(scene, light, u)
+    nothing in between, and whether nothing is.
+
+    Args:
+        sides: of the light, that face the point: see `sides_facing`.
+    """
+    share = sides[1]
+    e, rest = _facing_emitter(scene, light, sides[0], u * share) if share < 1 else _emitter_at(scene, light, u)
     root = np.sqrt(min(max(rest, 0.0), 1.0))
     to_a, to_b, to_c = 1 - root, root * (1 - v), root * v
     a, b, c = scene.corners[e]
@@ -50,26 +56,30 @@ def density_of(scene: LitScene, e: int, way: Vector, distance: float) -> float:
 
 
 @compiled
-def share_facing(scene: LitScene, light: int, point: Vector) -> float:
-    """The share of a light's samples that its sides towards a point have, which alone are sampled; 1 where all are."""
-    if not scene.solid[light]:
-        return 1.0
-    share = 0.0
-    for e in range(scene.first[light], scene.first[light + 1]):
-        if _faces(scene, e, point):
-            share += _share_of(scene, light, e)
-    return share if share > 0 else 1.0  # none face a point within the light
+def sides_facing(scene: LitScene, light: int, point: Vector) -> Sides:
+    """The sides of a light towards a point, which alone are sampled: a bit for each, and their share of its samples.
+
+    All of them (-1, 1) unless the light is solid, and where none face a point within it.
+    """
+    bits, share = 0, 0.0
+    if scene.solid[light]:
+        first = scene.first[light]
+        for side in range(scene.first[light + 1] - first):
+            if _faces(scene, first + side, point):
+                bits |= 1 << side
+                share += _share_of(scene, light, first + side)
+    return (bits, share) if share > 0 else (-1, 1.0)
 
 
 @compiled
 def by_formula(scene: LitScene, light: int, point: Vector, normal: Vector, share: float) -> Triple:
     """Irradiance / π of a light of which a share is in sight, by Lambert's formula."""
-    arriving = BLACK
+    arriving, bits = BLACK, sides_facing(scene, light, point)[0]
     for e in range(scene.first[light], scene.first[light + 1]):
-        if scene.solid[light] and not _faces(scene, e, point):
-            continue
-        factor = of_triangle(point, normal, scene.corners[e]) * share
-        arriving = added(arriving, scaled(triple(scene.radiance[e]), factor))
+        if bits & 1:
+            factor = of_triangle(point, normal, scene.corners[e]) * share
+            arriving = added(arriving, scaled(triple(scene.radiance[e]), factor))
+        bits >>= 1
     return arriving
 
 
@@ -108,7 +118,7 @@ def emitter_light(
     if not scene.shining[light]:
         return BLACK
     reflected, by_lobe = lobe_and_pdf(view, toward, alpha)
-    density = density_of(scene, emitter, way, distance) / share_facing(scene, light, point)
+    density = density_of(scene, emitter, way, distance) / sides_facing(scene, light, point)[1]
     return scaled(triple(scene.radiance[emitter]), reflected * over_density(by_lobe, density))
 
 
@@ -149,11 +159,11 @@ def direct_at(
     for light in range(len(scene.shining)):
         if not scene.shining[light] or (light + turn) % every != 0:
             continue
-        shift_u, shift_v = uniform(key, 2 * light), uniform(key, 2 * light + 1)
+        sides, shift_u, shift_v = sides_facing(scene, light, point), uniform(key, 2 * light), uniform(key, 2 * light + 1)
         visible, whole, exact = 0.0, 0.0, scene.exact[light]
         for s in range(samples):
             u, v = spread(s, shift_u, shift_v)
-            e, way, density, arriving, clear = light_sample(scene, light, point, normal, u, v)
+            e, way, density, arriving, clear = light_sample(scene, light, sides, point, normal, u, v)
             whole += arriving
             if not clear:
                 continue
@@ -223,17 +233,17 @@ def _share_of(scene: LitScene, light: int, e: int) -> float:
 
 
 @compiled
-def _facing_emitter(scene: LitScene, light: int, point: Vector, u: float) -> tuple[int, float]:
-    """The side of a solid light, of those that face a point, whose step a number lies in, and how far along it."""
+def _facing_emitter(scene: LitScene, light: int, bits: int, u: float) -> tuple[int, float]:
+    """The side of a solid light, of those that have a bit, whose step a number lies in, and how far along it."""
     found, rest = scene.first[light], 0.0
     for e in range(scene.first[light], scene.first[light + 1]):
-        if not _faces(scene, e, point):
-            continue
-        share = _share_of(scene, light, e)
-        found, rest = e, u / share
-        if u < share:
-            break
-        u -= share
+        if bits & 1:
+            share = _share_of(scene, light, e)
+            found, rest = e, u / share
+            if u < share:
+                break
+            u -= share
+        bits >>= 1
     return found, rest
 
 

@@ -53,6 +53,9 @@ class LightSampler:
             flat[number] = (np.abs(facing[own] @ facing[own][0]) > 1 - 1e-6).all()
             if not flat[number]:
                 facing[own], solid[number] = _outwards(corners[own], facing[own], area[own], others)
+        bounds = [corners[light == number].reshape(-1, 3) for number in range(len(count))]
+        middle = np.array([(own.min(0) + own.max(0)) / 2 for own in bounds]).reshape(-1, 3)
+        reach = np.array([np.linalg.norm(own - at, axis=1).max() for own, at in zip(bounds, middle, strict=True)])
         emitter = np.full(len(triangles), -1)
         emitter[emitters] = np.arange(len(emitters))
         self.scene = LitScene(
@@ -70,6 +73,8 @@ class LightSampler:
             shining=np.ones(len(count), np.bool_),
             exact=solid | flat,
             solid=solid,
+            middle=middle,
+            reach=reach,
             **dict(zip(("albedo", "mean_albedo"), lobe_albedo(), strict=True)),
         )
 

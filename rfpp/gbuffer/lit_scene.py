@@ -29,6 +29,7 @@ class LitScene(NamedTuple):
         first: [L + 1] emitters of each light.
         shining: [L] whether its light is wanted.
         exact: [L] whether Lambert's formula gives it: its triangles are few and parallel, or it is solid.
+        middle, reach: [L, 3], [L] of a sphere around each light.
         solid: [L] whether its triangles are few and bound a convex body, of which a point sees the sides that face it.
         albedo, mean_albedo: see `rfpp.gbuffer.ggx.lobe_albedo`.
     """
@@ -47,6 +48,8 @@ class LitScene(NamedTuple):
     shining: Bool[np.ndarray, " l"]
     exact: Bool[np.ndarray, " l"]
     solid: Bool[np.ndarray, " l"]
+    middle: Float[np.ndarray, "l 3"]
+    reach: Float[np.ndarray, " l"]
     albedo: Float[np.ndarray, "table table"]
     mean_albedo: Float[np.ndarray, " table"]
 

@@ -11,12 +11,12 @@ from rfpp.gbuffer.counted_random import Key, key_of, spread, uniform
 from rfpp.gbuffer.ggx import lobe_and_pdf
 from rfpp.gbuffer.light_loops import (
     along_lobe,
-    by_formula,
     direct_at,
     emitter_light,
     light_sample,
     over_density,
     rays_to_all,
+    sides_facing,
 )
 from rfpp.gbuffer.lit_scene import (
     LitScene,
@@ -30,15 +30,19 @@ from rfpp.gbuffer.lit_scene import (
     surface_there,
     tinted,
 )
+from rfpp.gbuffer.polygon_light import unhidden_each
 from rfpp.gbuffer.surface import Points
 from rfpp.gbuffer.traces import Trace
 from rfpp.gbuffer.vectors import BLACK, added, dot, in_frame, mean, product, scaled, tangents, triple
 
 #: What is summed of the samples of one light, for each point.
 WHOLE, VISIBLE, DIFFUSE, GLOSSY, LOBE, SQUARES, SUMS = 0, 1, 2, 5, 8, 9, 10
-#: Highlights of lobes up to this α ask for all samples, those of wider ones if their standard error in a pixel is more
-#: than this share of the light that it gets of the lamp. (Stopping sooner would miss bright samples more than dark.)
+#: Highlights of lobes up to this α ask for all samples if the lamp is near the mirrored direction (stopping sooner
+#: would miss bright samples more than dark), others if their standard error in a pixel is more than this share of the
+#: light that it gets of the lamp.
 _SHARP, _NOISY = 0.25, 0.02
+#: How far a lobe is looked for, in α, where it has 1/300 of what it has in the middle.
+_WIDTHS = 4
 #: What a pixel has seen of a light.
 HIDDEN, CLEAR = 1, 2
 
@@ -60,10 +64,12 @@ def light_samples(
 
     Args:
         points: `rfpp.gbuffer.surface.Points`.
-        begin, end: which samples of each point.
+        begin, end: which samples of each point; the first starts the sums anew.
         only: [pixels] those whose points are sampled.
         sums: [R, SUMS].
     """
+    if begin == 0:
+        sums[start:stop] = 0
     for row in range(start, stop):
         pixel = points.pixel[row]
         if not only[pixel]:
@@ -73,11 +79,11 @@ def light_samples(
         first, second = tangents(normal)
         view = in_frame(points.eye[row], first, second, normal)
         own_key = key_of(key_of(key, light), pixel)
-        shift_u, shift_v = uniform(own_key, 0), uniform(own_key, 1)
+        sides, shift_u, shift_v = sides_facing(scene, light, point), uniform(own_key, 0), uniform(own_key, 1)
         for s in range(begin, end):
             # all samples of a pixel's points are spread over the light together
             u, v = spread(s * points.of_pixel + points.nth[row], shift_u, shift_v)
-            e, way, density, arriving, clear = light_sample(scene, light, point, normal, u, v)
+            e, way, density, arriving, clear = light_sample(scene, light, sides, point, normal, u, v)
             own[WHOLE] += arriving
             if not clear:
                 continue
@@ -98,6 +104,8 @@ def light_samples(
 
 @compiled
 def find_edges(
+    scene: LitScene,
+    light: int,
     points: Points,
     sums: Float[np.ndarray, "r sums"],
     samples: int,
@@ -126,7 +134,7 @@ def find_edges(
         lobe[pixel, 0] += own[LOBE] * shine
         lobe[pixel, 1] += own[SQUARES] * shine * shine
         lobe[pixel, 2] += own[VISIBLE] / np.pi * mean(points.diffuse[row])
-        if own[VISIBLE] > 0 and 0 <= points.alpha[row] <= _SHARP:
+        if own[VISIBLE] > 0 and 0 <= points.alpha[row] <= _SHARP and _mirrored(scene, light, points, row):
             lobe[pixel, 1] = np.inf
     count = samples * points.of_pixel
     for y in range(height):
@@ -141,33 +149,58 @@ def find_edges(
 
 
 @compiled
+def _mirrored(scene: LitScene, light: int, points: Points, row: int) -> bool:
+    """Whether a point's glossy lobe varies much over a light: whether some of it is near the mirrored direction.
+
+    A normal between the directions to the eye and to the light is tilted by half the angle between the mirrored
+    direction and the light, or more.
+    """
+    normal, eye = triple(points.normal[row]), triple(points.eye[row])
+    mirrored = added(scaled(normal, 2 * dot(normal, eye)), scaled(eye, -1.0))
+    away = added(triple(scene.middle[light]), scaled(triple(points.point[row]), -1.0))
+    distance = np.sqrt(dot(away, away))
+    if distance <= scene.reach[light]:
+        return True
+    angle = np.arccos(min(max(dot(mirrored, away) / distance, -1.0), 1.0))
+    wide = np.arcsin(scene.reach[light] / distance)
+    near: bool = (angle - wide) / 2 < _WIDTHS * points.alpha[row] + wide
+    return near
+
+
+@compiled
 def of_light(
     start: int,
     stop: int,
     scene: LitScene,
     light: int,
     points: Points,
+    places: Float[np.ndarray, "6 r"],
     edge: Bool[np.ndarray, " pixels"],
     few: int,
     many: int,
     sums: Float[np.ndarray, "r sums"],
+    unhidden: Float[np.ndarray, "4 r"],
     diffuse: Float[np.ndarray, "r 3"],
     glossy: Float[np.ndarray, "r 3"],
 ) -> None:
     """Adds the light of one light to what each point has.
 
     Args:
+        places: of the points and their normals, as `rfpp.gbuffer.polygon_light.unhidden_each` reads them.
         few, many: samples of points away from edges, and there.
+        unhidden: room for what that finds.
     """
+    if scene.exact[light]:
+        unhidden_each(start, stop, scene, light, places, unhidden)
+    else:
+        unhidden[:, start:stop] = 0
     for row in range(start, stop):
         own, count = sums[row], (many if edge[points.pixel[row]] else few)
         if own[VISIBLE] <= 0:
             continue
-        exactly, (point, normal) = BLACK, (triple(points.point[row]), triple(points.normal[row]))
-        if scene.exact[light]:
-            exactly = by_formula(scene, light, point, normal, own[VISIBLE] / own[WHOLE])
+        in_sight = own[VISIBLE] / own[WHOLE]
         for c in range(3):
-            diffuse[row, c] += exactly[c] + own[DIFFUSE + c] / count
+            diffuse[row, c] += unhidden[c, row] * in_sight + own[DIFFUSE + c] / count
             glossy[row, c] += own[GLOSSY + c] / count
 
 
