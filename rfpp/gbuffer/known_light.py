@@ -64,9 +64,9 @@ def with_known_light(
     light = np.zeros((4, len(surface), 3), np.float32)
     diffuse, glossy, reflected, albedo = light
     keys = np.random.default_rng(seed).integers(1 << 62, size=2).tolist()
-    sums, unhidden = np.empty((len(surface), SUMS)), np.empty((4, len(surface)))
+    room = np.empty((len(surface), SUMS)), np.empty((4, len(surface)))
     for number in np.flatnonzero(sampler.scene.shining).tolist():
-        _add_light(sampler, number, of_image, places, (height, width), samples, keys[0], sums, unhidden, diffuse, glossy)
+        _add_light(sampler, number, of_image, places, (height, width), samples, keys[0], room, diffuse, glossy)
     trace = Trace.of(len(surface), samples if traced else 0)
     image = (of_image, samples, reflects, keys[1], glossy, reflected, albedo, trace)
     over_rows(len(surface), lobe_rays, sampler.scene, *image)
@@ -86,8 +86,7 @@ def _add_light(
     size: tuple[int, int],
     samples: int,
     key: int,
-    sums: Float[np.ndarray, "r sums"],
-    unhidden: Float[np.ndarray, "4 r"],
+    room: tuple[Float[np.ndarray, "r sums"], Float[np.ndarray, "4 r"]],
     diffuse: Float32[np.ndarray, "r 3"],
     glossy: Float32[np.ndarray, "r 3"],
 ) -> None:
@@ -95,9 +94,9 @@ def _add_light(
 
     Args:
         places: of the points and their normals, row by row, as loops over many points at once read them.
-        sums, unhidden: room for what its samples come to, and its light by formula.
+        room: for what its samples come to, and for its light by formula.
     """
-    rows, scene = len(points.pixel), sampler.scene
+    rows, scene, (sums, unhidden) = len(points.pixel), sampler.scene, room
     edge = np.ones(size[0] * size[1], np.bool_)
     few = min(-(-_PROBES // points.of_pixel), samples)
     over_rows(rows, light_samples, scene, number, points, 0, few, edge, key, sums)

@@ -72,9 +72,9 @@ def sides_facing(scene: LitScene, light: int, point: Vector) -> Sides:
 
 
 @compiled
-def by_formula(scene: LitScene, light: int, point: Vector, normal: Vector, share: float) -> Triple:
+def by_formula(scene: LitScene, light: int, sides: Sides, point: Vector, normal: Vector, share: float) -> Triple:
     """Irradiance / π of a light of which a share is in sight, by Lambert's formula."""
-    arriving, bits = BLACK, sides_facing(scene, light, point)[0]
+    arriving, bits = BLACK, sides[0]
     for e in range(scene.first[light], scene.first[light + 1]):
         if bits & 1:
             factor = of_triangle(point, normal, scene.corners[e]) * share
@@ -159,8 +159,8 @@ def direct_at(
     for light in range(len(scene.shining)):
         if not scene.shining[light] or (light + turn) % every != 0:
             continue
-        sides, shift_u, shift_v = sides_facing(scene, light, point), uniform(key, 2 * light), uniform(key, 2 * light + 1)
-        visible, whole, exact = 0.0, 0.0, scene.exact[light]
+        shift_u, shift_v = uniform(key, 2 * light), uniform(key, 2 * light + 1)
+        sides, exact, visible, whole = sides_facing(scene, light, point), scene.exact[light], 0.0, 0.0
         for s in range(samples):
             u, v = spread(s, shift_u, shift_v)
             e, way, density, arriving, clear = light_sample(scene, light, sides, point, normal, u, v)
@@ -176,7 +176,7 @@ def direct_at(
                 weight = reflected * (1 / density if alpha > WIDE else over_density(density, by_lobe)) / samples
                 glossy = added(glossy, scaled(radiance, weight))
         if wants_diffuse and exact and visible > 0:
-            diffuse = added(diffuse, by_formula(scene, light, point, normal, visible / whole))
+            diffuse = added(diffuse, by_formula(scene, light, sides, point, normal, visible / whole))
     diffuse, glossy = scaled(diffuse, every), scaled(glossy, every)
     if alpha < 0:
         return diffuse, glossy

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from rfpp.gbuffer.compiled import compiled, float64
+from rfpp.gbuffer.compiled import compiled
 from rfpp.gbuffer.lit_scene import LitScene
 from rfpp.gbuffer.vectors import BLACK, Triple, Vector, added, dot, scaled, triple
 

@@ -14,7 +14,7 @@ from rfpp.gbuffer import known_light, surface, threads
 from rfpp.gbuffer.first_hit import DirectLight, GBuffer, channel, first_hit, stack_channels
 from rfpp.gbuffer.known_light import with_known_light
 from rfpp.gbuffer.light_sampler import LightSampler
-from rfpp.gbuffer.polygon_light import form_factor
+from rfpp.gbuffer.polygon_light import form_factor, unhidden_each
 from rfpp.reference.cycles import CyclesSettings, render_passes
 from rfpp.scene.camera import camera_to_world
 from rfpp.scene.io.loading import load_scene
@@ -159,6 +159,39 @@ def test_the_formula_is_that_of_arctangents_also_beside_an_edge(away):
     sine = np.linalg.norm(across, axis=-1)
     expected = np.abs((np.arctan2(sine, (ways * after).sum(-1)) * across[..., 2] / sine).sum(-1)) / (2 * np.pi)
     np.testing.assert_allclose(form_factor(points, normals, lamp)[:, 0], expected, rtol=1e-6, atol=1e-8)
+
+
+@pytest.mark.parametrize("lamp", [TETRAHEDRON, TETRAHEDRON[:, ::-1], square(1.0)], ids=["solid", "inside out", "flat"])
+def test_light_at_many_points_at_once_is_that_at_each(lamp):
+    rng = np.random.default_rng(0)
+    radiance = (3.0, 2.0, 1.0)
+    scene = LightSampler(pack((square(2, z=-9.0), material(0.5)), (lamp, material(1.0, emission=radiance)))).scene
+    points, normals = rng.uniform(-4, 4, (2000, 3)), rng.normal(size=(2000, 3))
+    points, normals = points[(np.abs(points) > 1).any(-1)], normals[(np.abs(points) > 1).any(-1)]
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    above = (np.einsum("rk,ecrk->rec", normals, scene.corners[:, :, None] - points) > 0).reshape(len(points), -1)
+    assert (above.any(1) & ~above.all(1)).mean() > 0.1  # horizons that cut the lamp
+    shines = ((scene.corners[:, 0] - points[:, None]) * scene.facing).sum(-1) < 0 if scene.solid[0] else True
+    expected = (form_factor(points, normals, scene.corners) * shines).sum(1)
+    places, found = np.ascontiguousarray(np.concatenate([points, normals], 1).T), np.full((4, len(points)), np.nan)
+    for start, stop in ((0, 7), (7, 1200), (1200, len(points))):
+        unhidden_each(start, stop, scene, 0, places, found)
+    np.testing.assert_allclose(found[:3], np.outer(radiance, expected), rtol=1e-12, atol=1e-15)
+
+
+@pytest.mark.parametrize("roughness", [0.15, 0.3, 0.5])
+def test_highlights_that_ask_for_few_samples_are_as_bright_as_others(roughness):
+    """Sharp lobes near the lamp's mirror image and far from it, of a lamp that a point of them sees as a small one."""
+    floor = (square(4), material(0.2, specular=0.7, roughness=roughness))
+    scene = pack(floor, (square(0.1) + np.array([0.2, 0.9, 0.6]), material(1.0, emission=50.0)))
+    probed, full = (
+        np.stack([light(scene, samples=samples, size=12, seed=seed).glossy.mean(-1) for seed in range(150)])
+        for samples in (8, 64)
+    )
+    standard_error = np.sqrt((probed.var(0) + full.var(0)) / len(full))
+    assert (np.abs(probed.mean(0) - full.mean(0)) < 5 * standard_error + 1e-3 * full.max()).all()
+    error = np.sqrt((probed.mean((1, 2)).var() + full.mean((1, 2)).var()) / len(full))
+    assert abs(probed.mean() - full.mean()) < 4 * error < 0.1 * full.mean()
 
 
 def test_an_emissive_mesh_is_one_light_in_every_way():
