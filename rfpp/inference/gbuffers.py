@@ -75,7 +75,8 @@ class GBufferSource:
 
         Args:
             height, width: in pixels.
-            light_samples: see `with_known_light`.
+            light_samples: of each pixel, divided among its points, of which each gets one or more
+                (`with_known_light`); as many rays to cells go with them (`rays_beside`).
             points: along each side of a pixel; the channels have so many times the height and the width.
             light: only the light of this object; None: all.
         """
@@ -107,15 +108,16 @@ class GBufferSource:
 
         def of_view(view: int) -> GBuffer:
             c2w, fov = scene.c2w[view], scene.fov[view]
+            of_point = max(1, round(light_samples / points**2))
             gbuffer = self._first_hit(triangles, geometry, c2w, fov, height, width, points)
             seen, lights = (c2w, fov), partial(self._lights, triangles, geometry, light)
             if self._wants(DIRECT_CHANNELS) or self._wants(REFLECTION_CHANNELS):
                 reflects = self._wants(REFLECTION_CHANNELS)
                 how = {"reflects": reflects, "traced": traced}
-                gbuffer = with_known_light(gbuffer, *seen, lights(), light_samples, **how)
+                gbuffer = with_known_light(gbuffer, *seen, lights(), of_point, **how)
             if self._wants((*CELL_CHANNELS, BOUNCED_LIGHT)):
                 cells = self._places(triangles, geometry).map
-                rays = rays_beside(light_samples * points**2)
+                rays = rays_beside(light_samples)
                 gbuffer = with_cells(gbuffer, *seen, lights(), cells, traced=traced, rays=rays)
             return gbuffer
 

@@ -21,7 +21,7 @@ class Plan:
     Attributes:
         scene: with at least one camera.
         size: (height, width) in pixels.
-        samples: light samples of each point.
+        samples: of lights, of each pixel.
         points: along each side of a pixel.
         stride: pixels along each side of what tokens see as one.
         transports: see `Renderer.render`.
@@ -57,8 +57,7 @@ class Plan:
             raise UserError(f"{given}: give 1 or more of each")
         points = supersampling if network.shades_points else 1
         require_memory(*size, points)
-        samples = max(1, round(light_samples / points**2))
-        return cls(scene, size, samples, points, stride_of(network, size, token_resolution), transports)
+        return cls(scene, size, light_samples, points, stride_of(network, size, token_resolution), transports)
 
 
 def image_size(network: RenderFormerPP, resolution: int | tuple[int, int]) -> tuple[int, int]:

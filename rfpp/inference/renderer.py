@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -67,6 +67,8 @@ class Renderer:
         self.objects = self.encoder.objects
         #: What cameras see, and what is known of scenes.
         self.gbuffers = GBufferSource(network.gbuffer_channels)
+        #: Whether a thread casts the next view's rays while the network works on one: not on the same cores.
+        self.casts_ahead = self.device.type != "cpu"
         #: The last stage alone.
         self.refined = Refiner(network, self.device, self.encoder.autocast)
 
@@ -126,7 +128,7 @@ class Renderer:
             light_samples: shadow rays per light and pixel, rays into reflections, and up to four rays to cells, for
                 networks that are given direct light, reflections or cells.
             supersampling: points along each side of a pixel at which such networks' images are shaded, which smooths
-                outlines; the samples are divided among them.
+                outlines; the samples are divided among them, and each point gets one or more.
             token_resolution: at least so many pixels along the longer side are what such networks' ray tokens and image
                 head see; what they say is carried to the image's pixels along surfaces. None is `TOKEN_RESOLUTION`.
             transports: how often the transport operator is applied; None is as often as it was trained for.
@@ -226,16 +228,16 @@ class Renderer:
         encode: Callable[[RaggedBatch, Plan, str | None], Encoded],
         decode: Callable[[Encoded, View, Plan], Float[np.ndarray, "*n height width 3"]],
     ) -> Iterator[Float[np.ndarray, "*n height width 3"]]:
-        """One view at a time, which bounds the memory; a thread casts the next one's rays meanwhile."""
+        """One view at a time, which bounds the memory; see `casts_ahead`."""
         cast = self.gbuffers.of(plan.scene, *plan.size, plan.samples, plan.points, light)
         with ThreadPoolExecutor(1, "gbuffer") as beside:
-            upcoming = beside.submit(cast, 0)
+            upcoming: Future | None = beside.submit(cast, 0)
             batch = self.batch(plan.scene, light)
             encoded = encode(batch, plan, light)
             for view in range(batch.num_views):
-                gbuffer = upcoming.result()
-                if view + 1 < batch.num_views:
-                    upcoming = beside.submit(cast, view + 1)
+                gbuffer = upcoming.result() if upcoming else cast(view)
+                more = self.casts_ahead and view + 1 < batch.num_views
+                upcoming = beside.submit(cast, view + 1) if more else None
                 one = slice(view, view + 1)
                 image = decode(encoded, (batch.c2w[:, one], batch.fov[:, one], gbuffer), plan)
                 self._require_finite(image, f"scene '{plan.scene.name}', view {view}")

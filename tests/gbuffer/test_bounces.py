@@ -37,7 +37,7 @@ def test_every_bounce_is_that_of_a_path_tracer(specular, in_process):
     scene = PackedScene("room", triangles, camera, np.float32([FOV]))
     radiosity = UnlearnedRadiosity()
     source = GBufferSource(radiosity.gbuffer_channels)
-    gbuffer = source.of(scene, SIDE, SIDE, 16, points=2)(0)[None]
+    gbuffer = source.of(scene, SIDE, SIDE, 64, points=2)(0)[None]
     known = source.known_of_scene(triangles, ("object_light", "cells"))
     views = SceneViews("room", triangles, camera, scene.fov, gbuffer, None, **known)
 

@@ -99,3 +99,14 @@ def test_another_camera_casts_its_own_rays_into_the_same_structures(cast):
 def test_no_channels_no_rays(cast):
     assert stacked(GBufferSource(()), scene()).shape == (3, 0, 16, 16)
     assert cast == []
+
+
+@pytest.mark.parametrize(("samples", "of_point", "rays"), [(1, 1, 1), (2, 1, 2), (4, 1, 4), (8, 2, 4), (64, 16, 4)])
+def test_samples_of_a_pixel_are_divided_among_its_points(samples, of_point, rays, monkeypatch):
+    asked, real = [], rfpp.inference.gbuffers.with_known_light
+    monkeypatch.setattr(
+        rfpp.inference.gbuffers, "with_known_light", lambda *args, **how: asked.append(args[4]) or real(*args, **how)
+    )
+    seen = GBufferSource(GATHERED).seen(pack(scene()), 16, 16, samples, points=2)(0)
+    assert asked == [of_point]
+    assert all(of_ray.shape == (16, 16, rays) for of_ray in seen.cells.rays.values())

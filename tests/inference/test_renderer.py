@@ -140,7 +140,9 @@ def test_the_image_is_the_networks_own(renderer, scene):
 def test_rays_of_the_next_view_are_cast_while_the_network_works(scene, monkeypatch):
     renderer = Renderer(network(), checkpoint_info())
     together = renderer.render(scene)
+    assert not renderer.casts_ahead  # both would work on the same cores
     renderer = Renderer(renderer.network, checkpoint_info())
+    renderer.casts_ahead = True
     begun = [Event() for _ in range(4)]
     started, running_ahead = iter(begun), []
     cast, view = rfpp.inference.gbuffers.first_hit, renderer.network.view

@@ -23,11 +23,11 @@ from rfpp.model.points import means
 from rfpp.scene.packed import PackedScene
 from rfpp.shards.dataset import ShardSplit
 
-#: Points along each side of a pixel, and samples of light at each.
-POINTS, SAMPLES = 2, 32
+#: Points along each side of a pixel, and samples of light of each pixel.
+POINTS, SAMPLES = 2, 128
 #: The same for the light that references are compared with. A lamp in a mirror is smaller than a pixel and a hundred
 #: times as bright as all around; what 2 × 2 points miss of it would count as light of further bounces.
-FINE_POINTS, FINE_SAMPLES = 6, 4
+FINE_POINTS, FINE_SAMPLES = 6, 144
 #: Pixels in which a lamp glints are left out: those that know, in them or beside them, so many times the image's mean
 #: from glossy lobes. References of some hundred samples do not know how bright they are.
 GLINT = 4.0

@@ -133,7 +133,7 @@ class ByRadiosity:
 
     @torch.inference_mode()
     def __call__(self, scene: PackedScene, size: tuple[int, int]) -> Images:
-        cast = self.source.of(scene, *size, _LIGHT_SAMPLES // _POINTS**2, _POINTS)
+        cast = self.source.of(scene, *size, _LIGHT_SAMPLES, _POINTS)
         known = self.source.known_of_scene(scene.triangles, ["cells"])
         images = []
         for view in range(len(scene.fov)):
