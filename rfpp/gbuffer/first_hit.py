@@ -242,7 +242,8 @@ def channel(
 ) -> Float[np.ndarray, "h w c"]:
     """One channel of `stack_channels`, channels last."""
     if name in _MATERIAL_COLUMNS:
-        seen: np.ndarray = material[:, _MATERIAL_COLUMNS[name]][gbuffer.triangle] * gbuffer.hit[..., None]
+        seen: np.ndarray = np.take(material[:, _MATERIAL_COLUMNS[name]], gbuffer.triangle, axis=0)
+        seen *= gbuffer.hit[..., None]
         return seen
     if name == "normal":
         return gbuffer.normal
@@ -271,8 +272,9 @@ def camera_positions(
     """Camera-space points from planar depth; the origin where depth is 0."""
     height, width = depth.shape
     slope = pixel_plane(height, width, points) * np.tan(np.radians(float(fov)) / 2)
-    position: np.ndarray = np.concatenate([slope, np.full((*depth.shape, 1), -1.0)], axis=-1) * depth[..., None]
-    return position.astype(np.float32)
+    position = np.empty((*depth.shape, 3), np.float32)
+    position[..., :2], position[..., 2] = slope * depth[..., None], -depth
+    return position
 
 
 def object_ids(gbuffer: GBuffer, triangles: SceneTriangles) -> Int[np.ndarray, "h w"]:

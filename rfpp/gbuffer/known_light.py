@@ -26,7 +26,8 @@ from jaxtyping import Float, Float32
 
 from rfpp.gbuffer.first_hit import DirectLight, GBuffer, Reflection
 from rfpp.gbuffer.light_sampler import LightSampler
-from rfpp.gbuffer.pixel_loops import SUMS, find_edges, light_samples, lobe_rays, of_light
+from rfpp.gbuffer.pixel_loops import SUMS, find_edges, light_samples, lobe_rays, of_light, to_image
+from rfpp.gbuffer.polygon_light import ROOM
 from rfpp.gbuffer.surface import Points, Surface
 from rfpp.gbuffer.threads import over_rows
 from rfpp.gbuffer.traces import Trace
@@ -60,18 +61,17 @@ def with_known_light(
     surface = Surface.seen(gbuffer, sampler.triangles, c2w, fov)
     height, width = (side // gbuffer.points for side in gbuffer.depth.shape)
     of_image = surface.points(gbuffer.hit, gbuffer.points)
-    places = np.ascontiguousarray(np.concatenate([of_image.point, of_image.normal], axis=1).T)
     light = np.zeros((4, len(surface), 3), np.float32)
     diffuse, glossy, reflected, albedo = light
     keys = np.random.default_rng(seed).integers(1 << 62, size=2).tolist()
-    room = np.empty((len(surface), SUMS)), np.empty((4, len(surface)))
+    room = np.empty((len(surface), SUMS)), np.empty((ROOM, len(surface)))
     for number in np.flatnonzero(sampler.scene.shining).tolist():
-        _add_light(sampler, number, of_image, places, (height, width), samples, keys[0], room, diffuse, glossy)
+        _add_light(sampler, number, of_image, (height, width), samples, keys[0], room, diffuse, glossy)
     trace = Trace.of(len(surface), samples if traced else 0)
     image = (of_image, samples, reflects, keys[1], glossy, reflected, albedo, trace)
     over_rows(len(surface), lobe_rays, sampler.scene, *image)
     maps = np.zeros((4, *gbuffer.depth.shape, 3), np.float32)
-    maps[:, gbuffer.hit] = light
+    over_rows(len(surface), to_image, np.flatnonzero(gbuffer.hit), light, maps.reshape(4, -1, 3))
     found = replace(gbuffer, light=DirectLight(*maps[:2]))
     if not reflects:
         return found
@@ -82,18 +82,16 @@ def _add_light(
     sampler: LightSampler,
     number: int,
     points: Points,
-    places: Float[np.ndarray, "6 r"],
     size: tuple[int, int],
     samples: int,
     key: int,
-    room: tuple[Float[np.ndarray, "r sums"], Float[np.ndarray, "4 r"]],
+    room: tuple[Float[np.ndarray, "r sums"], Float[np.ndarray, "room r"]],
     diffuse: Float32[np.ndarray, "r 3"],
     glossy: Float32[np.ndarray, "r 3"],
 ) -> None:
     """Adds what one light brings.
 
     Args:
-        places: of the points and their normals, row by row, as loops over many points at once read them.
         room: for what its samples come to, and for its light by formula.
     """
     rows, scene, (sums, unhidden) = len(points.pixel), sampler.scene, room
@@ -104,4 +102,4 @@ def _add_light(
         counts = np.zeros(len(edge), np.uint8), np.zeros((len(edge), 3))
         find_edges(scene, number, points, sums, few, *size, _REACH, *counts, edge)
         over_rows(rows, light_samples, scene, number, points, few, samples, edge, key, sums)
-    over_rows(rows, of_light, scene, number, points, places, edge, few, samples, sums, unhidden, diffuse, glossy)
+    over_rows(rows, of_light, scene, number, points, edge, few, samples, sums, unhidden, diffuse, glossy)

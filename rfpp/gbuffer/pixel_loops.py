@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Bool, Float, Int, UInt8
 
 from rfpp.gbuffer import ggx
 from rfpp.gbuffer.compiled import compiled
@@ -174,26 +174,24 @@ def of_light(
     scene: LitScene,
     light: int,
     points: Points,
-    places: Float[np.ndarray, "6 r"],
     edge: Bool[np.ndarray, " pixels"],
     few: int,
     many: int,
     sums: Float[np.ndarray, "r sums"],
-    unhidden: Float[np.ndarray, "4 r"],
+    unhidden: Float[np.ndarray, "room r"],
     diffuse: Float[np.ndarray, "r 3"],
     glossy: Float[np.ndarray, "r 3"],
 ) -> None:
     """Adds the light of one light to what each point has.
 
     Args:
-        places: of the points and their normals, as `rfpp.gbuffer.polygon_light.unhidden_each` reads them.
         few, many: samples of points away from edges, and there.
-        unhidden: room for what that finds.
+        unhidden: room for what `rfpp.gbuffer.polygon_light.unhidden_each` finds.
     """
     if scene.exact[light]:
-        unhidden_each(start, stop, scene, light, places, unhidden)
+        unhidden_each(start, stop, scene, light, points.point, points.normal, unhidden)
     else:
-        unhidden[:, start:stop] = 0
+        unhidden[:3, start:stop] = 0
     for row in range(start, stop):
         own, count = sums[row], (many if edge[points.pixel[row]] else few)
         if own[VISIBLE] <= 0:
@@ -290,6 +288,21 @@ def lobe_rays(
             for s in range(count):
                 trace.diffuse[row, s, c] *= factor / count
                 trace.specular[row, s, c] *= factor / count
+
+
+@compiled
+def to_image(
+    start: int,
+    stop: int,
+    pixel: Int[np.ndarray, " r"],
+    light: Float[np.ndarray, "n r 3"],
+    maps: Float[np.ndarray, "n pixels 3"],
+) -> None:
+    """Writes what was found at points to their pixels."""
+    for kind in range(len(light)):
+        for row in range(start, stop):
+            for c in range(3):
+                maps[kind, pixel[row], c] = light[kind, row, c]
 
 
 @compiled

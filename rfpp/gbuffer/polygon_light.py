@@ -11,6 +11,8 @@ from rfpp.gbuffer.vectors import BLACK, Triple, Vector, added, dot, scaled, trip
 
 #: In place of the factor of a triangle that a point's horizon cuts.
 _CUT = -1.0
+#: Rows of the room that `unhidden_each` wants.
+ROOM = 10
 #: Points whose numbers stay in a core's cache while all triangles of a light pass by.
 _BLOCK = 512
 
@@ -73,22 +75,25 @@ def unhidden_each(
     stop: int,
     scene: LitScene,
     light: int,
-    places: Float[np.ndarray, "6 r"],
-    arriving: Float[np.ndarray, "4 r"],
+    points: Float[np.ndarray, "r 3"],
+    normals: Float[np.ndarray, "r 3"],
+    room: Float[np.ndarray, "room r"],
 ) -> None:
     """Irradiance / π of a light, with nothing in between, at points that are taken several at once.
 
     Args:
         light: of which the formula holds (`LitScene.exact`).
-        places: of the points, and their normals.
-        arriving: is written, red to blue; the last row is room for the factor of a triangle.
+        room: is written: the first three rows are red to blue, the others numbers of a block of points.
     """
     for begin in range(start, stop, _BLOCK):
         end = min(begin + _BLOCK, stop)
-        x, y, z = places[0, begin:end], places[1, begin:end], places[2, begin:end]
-        first, second, third = places[3, begin:end], places[4, begin:end], places[5, begin:end]
-        red, green, blue = arriving[0, begin:end], arriving[1, begin:end], arriving[2, begin:end]
-        own = arriving[3, begin:end]
+        red, green, blue = room[0, begin:end], room[1, begin:end], room[2, begin:end]
+        last = start + end - begin  # where the numbers of the block before were, which is near
+        x, y, z, own = room[3, start:last], room[4, start:last], room[5, start:last], room[9, start:last]
+        first, second, third = room[6, start:last], room[7, start:last], room[8, start:last]
+        for row in range(end - begin):
+            x[row], y[row], z[row] = triple(points[begin + row])
+            first[row], second[row], third[row] = triple(normals[begin + row])
         red[:], green[:], blue[:] = 0, 0, 0
         for e in range(scene.first[light], scene.first[light + 1]):
             corners, radiance = scene.corners[e], triple(scene.radiance[e])
