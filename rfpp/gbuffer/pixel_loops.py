@@ -196,10 +196,10 @@ def of_light(
         own, count = sums[row], (many if edge[points.pixel[row]] else few)
         if own[VISIBLE] <= 0:
             continue
-        in_sight = own[VISIBLE] / own[WHOLE]
+        in_sight, weight = own[VISIBLE] / own[WHOLE], 1 / count
         for c in range(3):
-            diffuse[row, c] += unhidden[c, row] * in_sight + own[DIFFUSE + c] / count
-            glossy[row, c] += own[GLOSSY + c] / count
+            diffuse[row, c] += unhidden[c, row] * in_sight + own[DIFFUSE + c] * weight
+            glossy[row, c] += own[GLOSSY + c] * weight
 
 
 @compiled
