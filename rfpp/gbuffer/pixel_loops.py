@@ -30,7 +30,7 @@ from rfpp.gbuffer.lit_scene import (
     surface_there,
     tinted,
 )
-from rfpp.gbuffer.polygon_light import unhidden_each
+from rfpp.gbuffer.polygon_light import BLOCK, unhidden_each
 from rfpp.gbuffer.surface import Points
 from rfpp.gbuffer.traces import Trace
 from rfpp.gbuffer.vectors import BLACK, added, dot, in_frame, mean, product, scaled, tangents, triple
@@ -178,7 +178,7 @@ def of_light(
     few: int,
     many: int,
     sums: Float[np.ndarray, "r sums"],
-    unhidden: Float[np.ndarray, "room r"],
+    room: Float[np.ndarray, "room r"],
     diffuse: Float[np.ndarray, "r 3"],
     glossy: Float[np.ndarray, "r 3"],
 ) -> None:
@@ -186,20 +186,21 @@ def of_light(
 
     Args:
         few, many: samples of points away from edges, and there.
-        unhidden: room for what `rfpp.gbuffer.polygon_light.unhidden_each` finds.
+        room: for what `rfpp.gbuffer.polygon_light.unhidden_each` finds.
     """
-    if scene.exact[light]:
-        unhidden_each(start, stop, scene, light, points.point, points.normal, unhidden)
-    else:
-        unhidden[:3, start:stop] = 0
-    for row in range(start, stop):
-        own, count = sums[row], (many if edge[points.pixel[row]] else few)
-        if own[VISIBLE] <= 0:
-            continue
-        in_sight, weight = own[VISIBLE] / own[WHOLE], 1 / count
-        for c in range(3):
-            diffuse[row, c] += unhidden[c, row] * in_sight + own[DIFFUSE + c] * weight
-            glossy[row, c] += own[GLOSSY + c] * weight
+    for begin in range(start, stop, BLOCK):
+        end = min(begin + BLOCK, stop)
+        if scene.exact[light]:  # into the same numbers for every block, which are near
+            unhidden_each(begin, end, scene, light, points.point, points.normal, start, room)
+        for row in range(begin, end):
+            own, count = sums[row], (many if edge[points.pixel[row]] else few)
+            if own[VISIBLE] <= 0:
+                continue
+            in_sight, weight = own[VISIBLE] / own[WHOLE], 1 / count
+            for c in range(3):
+                exactly = room[c, start + row - begin] * in_sight if scene.exact[light] else 0.0
+                diffuse[row, c] += exactly + own[DIFFUSE + c] * weight
+                glossy[row, c] += own[GLOSSY + c] * weight
 
 
 @compiled

@@ -14,7 +14,7 @@ _CUT = -1.0
 #: Rows of the room that `unhidden_each` wants.
 ROOM = 10
 #: Points whose numbers stay in a core's cache while all triangles of a light pass by.
-_BLOCK = 512
+BLOCK = 512
 
 
 def form_factor(
@@ -77,38 +77,38 @@ def unhidden_each(
     light: int,
     points: Float[np.ndarray, "r 3"],
     normals: Float[np.ndarray, "r 3"],
+    first: int,
     room: Float[np.ndarray, "room r"],
 ) -> None:
-    """Irradiance / π of a light, with nothing in between, at points that are taken several at once.
+    """Irradiance / π of a light, with nothing in between, at points taken several at once, best BLOCK of them.
 
     Args:
         light: of which the formula holds (`LitScene.exact`).
-        room: is written: the first three rows are red to blue, the others numbers of a block of points.
+        first: column of the room that the first point's numbers go to.
+        room: its first three rows are written, red to blue; the others are numbers by the way.
     """
-    for begin in range(start, stop, _BLOCK):
-        end = min(begin + _BLOCK, stop)
-        red, green, blue = room[0, begin:end], room[1, begin:end], room[2, begin:end]
-        last = start + end - begin  # where the numbers of the block before were, which is near
-        x, y, z, own = room[3, start:last], room[4, start:last], room[5, start:last], room[9, start:last]
-        first, second, third = room[6, start:last], room[7, start:last], room[8, start:last]
-        for row in range(end - begin):
-            x[row], y[row], z[row] = triple(points[begin + row])
-            first[row], second[row], third[row] = triple(normals[begin + row])
-        red[:], green[:], blue[:] = 0, 0, 0
-        for e in range(scene.first[light], scene.first[light + 1]):
-            corners, radiance = scene.corners[e], triple(scene.radiance[e])
-            outwards = triple(scene.facing[e]) if scene.solid[light] else BLACK
-            if not _shines_at(x, y, z, triple(corners[0]), outwards):
-                continue
-            _of_triangle_at(x, y, z, first, second, third, corners, outwards, own)
-            for row in range(end - begin):
-                if own[row] == _CUT:
-                    point, normal = (x[row], y[row], z[row]), (first[row], second[row], third[row])
-                    own[row] = of_triangle(point, normal, corners)
-            for row in range(end - begin):
-                red[row] += own[row] * radiance[0]
-                green[row] += own[row] * radiance[1]
-                blue[row] += own[row] * radiance[2]
+    last = first + stop - start
+    red, green, blue, own = room[0, first:last], room[1, first:last], room[2, first:last], room[3, first:last]
+    x, y, z = room[4, first:last], room[5, first:last], room[6, first:last]
+    along_x, along_y, along_z = room[7, first:last], room[8, first:last], room[9, first:last]
+    red[:], green[:], blue[:] = 0, 0, 0
+    for row in range(stop - start):
+        x[row], y[row], z[row] = triple(points[start + row])
+        along_x[row], along_y[row], along_z[row] = triple(normals[start + row])
+    for e in range(scene.first[light], scene.first[light + 1]):
+        corners, radiance = scene.corners[e], triple(scene.radiance[e])
+        outwards = triple(scene.facing[e]) if scene.solid[light] else BLACK
+        if not _shines_at(x, y, z, triple(corners[0]), outwards):
+            continue
+        _of_triangle_at(x, y, z, along_x, along_y, along_z, corners, outwards, own)
+        for row in range(stop - start):
+            if own[row] == _CUT:
+                point, normal = (x[row], y[row], z[row]), (along_x[row], along_y[row], along_z[row])
+                own[row] = of_triangle(point, normal, corners)
+        for row in range(stop - start):
+            red[row] += own[row] * radiance[0]
+            green[row] += own[row] * radiance[1]
+            blue[row] += own[row] * radiance[2]
 
 
 @compiled
@@ -128,9 +128,9 @@ def _of_triangle_at(
     x: Float[np.ndarray, " r"],
     y: Float[np.ndarray, " r"],
     z: Float[np.ndarray, " r"],
-    first: Float[np.ndarray, " r"],
-    second: Float[np.ndarray, " r"],
-    third: Float[np.ndarray, " r"],
+    along_x: Float[np.ndarray, " r"],
+    along_y: Float[np.ndarray, " r"],
+    along_z: Float[np.ndarray, " r"],
     corners: Float[np.ndarray, "3 3"],
     outwards: Triple,
     factor: Float[np.ndarray, " r"],
@@ -142,7 +142,7 @@ def _of_triangle_at(
     """
     corner_a, corner_b, corner_c = triple(corners[0]), triple(corners[1]), triple(corners[2])
     for row in range(len(x)):
-        point, normal = (x[row], y[row], z[row]), (first[row], second[row], third[row])
+        point, normal = (x[row], y[row], z[row]), (along_x[row], along_y[row], along_z[row])
         a, b, c = _away(point, corner_a), _away(point, corner_b), _away(point, corner_c)
         above_a, above_b, above_c = dot(a, normal), dot(b, normal), dot(c, normal)
         whole = abs(_edge(a, b, normal) + _edge(b, c, normal) + _edge(c, a, normal)) / (2 * np.pi)

@@ -175,7 +175,7 @@ def test_light_at_many_points_at_once_is_that_at_each(lamp):
     expected = (form_factor(points, normals, scene.corners) * shines).sum(1)
     found = np.full((ROOM, len(points)), np.nan)
     for start, stop in ((0, 7), (7, 1200), (1200, len(points))):
-        unhidden_each(start, stop, scene, 0, points, normals, found)
+        unhidden_each(start, stop, scene, 0, points, normals, start, found)
     np.testing.assert_allclose(found[:3], np.outer(radiance, expected), rtol=1e-12, atol=1e-15)
 
 
