@@ -99,7 +99,7 @@ def _add_light(
     few = min(-(-_PROBES // points.of_pixel), samples)
     over_rows(rows, light_samples, scene, number, points, 0, few, edge, key, sums)
     if few < samples:
-        counts = np.zeros(len(edge), np.uint8), np.zeros((len(edge), 3))
+        counts = np.zeros(len(edge), np.uint8), np.empty(size[1], np.uint8), np.zeros((len(edge), 3))
         find_edges(scene, number, points, sums, few, *size, _REACH, *counts, edge)
         over_rows(rows, light_samples, scene, number, points, few, samples, edge, key, sums)
     over_rows(rows, of_light, scene, number, points, edge, few, samples, sums, unhidden, diffuse, glossy)

@@ -113,6 +113,7 @@ def find_edges(
     width: int,
     reach: int,
     seen: UInt8[np.ndarray, " pixels"],
+    column: UInt8[np.ndarray, " w"],
     lobe: Float[np.ndarray, "pixels 3"],
     edge: Bool[np.ndarray, " pixels"],
 ) -> None:
@@ -124,25 +125,32 @@ def find_edges(
     Args:
         samples: of each point, in the sums.
         seen, lobe: zeros, to count in.
+        column: room for what is seen in each column near a row.
         edge: [H · W] bool.
     """
     for row in range(len(points.pixel)):
         own, pixel = sums[row], points.pixel[row]
-        if own[WHOLE] > 0:
-            seen[pixel] |= (CLEAR if own[VISIBLE] > 0 else 0) | (HIDDEN if own[VISIBLE] < own[WHOLE] else 0)
+        if own[VISIBLE] < own[WHOLE]:
+            seen[pixel] |= HIDDEN
+        if own[VISIBLE] <= 0:
+            continue
+        seen[pixel] |= CLEAR
         shine = mean(points.specular[row])
         lobe[pixel, 0] += own[LOBE] * shine
         lobe[pixel, 1] += own[SQUARES] * shine * shine
         lobe[pixel, 2] += own[VISIBLE] / np.pi * mean(points.diffuse[row])
-        if own[VISIBLE] > 0 and 0 <= points.alpha[row] <= _SHARP and _mirrored(scene, light, points, row):
+        if 0 <= points.alpha[row] <= _SHARP and _mirrored(scene, light, points, row):
             lobe[pixel, 1] = np.inf
     count = samples * points.of_pixel
     for y in range(height):
+        column[:] = 0
+        for j in range(max(y - reach, 0), min(y + reach + 1, height)):
+            for x in range(width):
+                column[x] |= seen[j * width + x]
         for x in range(width):
             found = 0
-            for j in range(max(y - reach, 0), min(y + reach + 1, height)):
-                for i in range(max(x - reach, 0), min(x + reach + 1, width)):
-                    found |= seen[j * width + i]
+            for i in range(max(x - reach, 0), min(x + reach + 1, width)):
+                found |= column[i]
             shine, square, dull = scaled(lobe[y * width + x], 1 / count)
             error = np.sqrt(max(square - shine * shine, 0.0) / count)
             edge[y * width + x] = found == CLEAR | HIDDEN or error > _NOISY * (shine + dull)
