@@ -26,8 +26,9 @@ from jaxtyping import Float, Float32
 
 from rfpp.gbuffer.first_hit import DirectLight, GBuffer, Reflection
 from rfpp.gbuffer.light_sampler import LightSampler
-from rfpp.gbuffer.pixel_loops import SUMS, find_edges, light_samples, lobe_rays, of_light, to_image
+from rfpp.gbuffer.pixel_loops import SUMS, light_samples, lobe_rays, of_light, to_image
 from rfpp.gbuffer.polygon_light import ROOM
+from rfpp.gbuffer.shadow_edges import find_edges
 from rfpp.gbuffer.surface import Points, Surface
 from rfpp.gbuffer.threads import over_rows
 from rfpp.gbuffer.traces import Trace
