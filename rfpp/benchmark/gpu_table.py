@@ -26,15 +26,29 @@ Row = Mapping[str, Any]
 def table(rows: Sequence[Row]) -> str:
     """Markdown: for each thing measured of both networks at the same size a line with seconds, memory and their ratios.
 
+    Cards, and commits, are not compared with each other: each has lines of its own.
+
     Raises:
         UserError: nothing was measured of both.
     """
-    lines = [
-        "| base, bf16, one view | triangles | pixels | RenderFormer | RenderFormer++ | speed | memory |",
-        "|---|---|---|---|---|---|---|",
+    measured: dict[str, list[Row]] = {}
+    for row in rows:
+        measured.setdefault(f"{row['hardware']}, torch {row['torch']}, commit {row['commit']}", []).append(row)
+    made = [
+        "\n".join([*lines, "", f"*{where}: medians; `launch/benchmark.py benchmark=gpu`.*"])
+        for where, of in measured.items()
+        if (lines := _lines(of))
     ]
+    if not made:
+        raise UserError(f"nothing was measured of both {BASELINE} and {OURS}: run benchmark=gpu further")
+    return "\n\n".join(made)
+
+
+def _lines(rows: Sequence[Row]) -> list[str]:
+    """Of one card and commit; none where nothing was measured of both networks."""
     ours = {_what(row): row for row in rows if row["network"] == OURS}
     quantities = list(dict.fromkeys(row["quantity"] for row in rows))
+    lines = []
     for row in sorted(rows, key=lambda r: (quantities.index(r["quantity"]), int(r["resolution"]), int(r["triangles"]))):
         other = ours.get(_what(row))
         if row["network"] != BASELINE or other is None or row["quantity"] in ("encode", "view"):
@@ -42,10 +56,8 @@ def table(rows: Sequence[Row]) -> str:
         cells = [_cell(row), _cell(other), _ratio(row, other, "seconds", "{:.1f} ×"), _memory(row, other)]
         side = f"{row['resolution']}²"
         lines.append(f"| {_name(row)} | {int(row['triangles']):,} | {side} | {' | '.join(cells)} |")
-    if len(lines) == 2:
-        raise UserError(f"nothing was measured of both {BASELINE} and {OURS}: run benchmark=gpu further")
-    where = {f"{row['hardware']}, torch {row['torch']}, commit {row['commit']}" for row in rows}
-    return "\n".join([*lines, "", f"*{'; '.join(sorted(where))}: medians; `launch/benchmark.py benchmark=gpu`.*"])
+    header = "| base, bf16, one view | triangles | pixels | RenderFormer | RenderFormer++ | speed | memory |"
+    return [header, "|---|---|---|---|---|---|---|", *lines] if lines else []
 
 
 def _what(row: Row) -> tuple[str, ...]:

@@ -37,6 +37,15 @@ def test_other_sizes_are_not_compared():
         table([row("renderformer", "0.3", "10"), row("rfpp", "0.1", "4", triangles="2000")])
 
 
+def test_cards_are_not_compared_with_each_other():
+    other = {"hardware": "another card"}
+    rows = [row("renderformer", "0.3", "10"), row("rfpp", "0.1", "4")]
+    made = table([*rows, row("rfpp", "0.2", "4", **other), row("renderformer", "0.3", "10", **other)])
+    first, second = made.split("*a card")
+    assert "| 3.0 × |" in first and "| 1.5 × |" in second and "another card" in second
+    assert table([*rows, row("rfpp", "0.2", "4", **other)]) == table(rows)
+
+
 def test_the_table_goes_where_its_marks_are(tmp_path):
     text = insert(f"before\n{BEGIN}\nold\n{END}\nafter", "new")
     assert "old" not in text and text.startswith("before") and text.endswith("after") and "new" in text
