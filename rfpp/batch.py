@@ -170,6 +170,7 @@ class RaggedBatch:
         rows = np.concatenate([np.arange(starts[number], starts[number + 1]) for number in objects])
         emitters = np.flatnonzero(np.isin(rows, self.emitters))
         rows = on_device(rows, self.positions.device)
+        numbers = on_device(np.array(objects), rows.device)
         return replace(
             self,
             positions=self.positions[rows],
@@ -179,11 +180,9 @@ class RaggedBatch:
             scenes=Segments.from_lengths([len(objects)], rows.device),
             emitters=emitters,
             texture=None if self.texture is None else self.texture[rows],
-            object_light=None
-            if self.object_light is None
-            else self.object_light[on_device(np.array(objects), rows.device)],
+            object_light=None if self.object_light is None else self.object_light[numbers],
             cells=None,
-            octants=None if self.octants is None else self.octants.view(-1, 8, 3)[list(objects)].flatten(0, 1),
+            octants=None if self.octants is None else self.octants.view(-1, 8, 3)[numbers].flatten(0, 1),
         )
 
     def object_chunks(self, objects: Sequence[int], triangles: int) -> Iterator[list[int]]:

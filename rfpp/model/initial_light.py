@@ -57,4 +57,5 @@ class CellLight:
             raise ValueError("the network moves light between cells, but the batch carries none")
         if tokens.segments.lengths != tuple(8 * objects for objects in batch.scenes.lengths):
             raise UserError("cells belong to octants of objects: give the network eight tokens an object (queries: 8)")
-        return replace(tokens, cells=batch.cells, bounces=batch.bounces)
+        cells = batch.cells.to(tokens.features.device)  # a renderer encodes objects of a batch that stays on the host
+        return replace(tokens, cells=cells, bounces=batch.bounces)

@@ -9,17 +9,23 @@ from fake_gpu import GPU, fake_gpu, network_on
 from network_variants import PAPER, VARIANTS, batch_for, loss
 
 from rfpp.batch import RaggedBatch
+from rfpp.inference import object_encoder
 from rfpp.losses.transport_consistency import TransportConsistency
 from rfpp.model import attention
 from rfpp.model.exposure import MeanIrradianceExposure
 from rfpp.model.ray_windows import ShiftedWindows
 from rfpp.model.view_decoder import SeenTokens
 from rfpp.segments import on_device
+from rfpp.training.blocks import RecomputedObjects
 
 
 @pytest.fixture(params=VARIANTS.values(), ids=VARIANTS.keys(), scope="module")
 def variant(request) -> tuple[str, ...]:
     return request.param
+
+
+#: Whose tokens are of objects, not of triangles.
+WITH_OBJECTS = [name for name in VARIANTS if name not in ("renderformer", "renderformer_pitg")]
 
 
 @dataclass(frozen=True)
@@ -80,6 +86,29 @@ def test_rendering_never_waits_for_the_device_before_the_image_is_there(variant)
         copies.waited_for.clear()
         image = net.view(net.encode(batch), batch.c2w, batch.fov, batch.gbuffer, points)
         assert image.device == GPU and image.shape == (2, 2, 3, 16, 16)
+        assert copies.waited_for == []
+
+
+@pytest.mark.parametrize("name", WITH_OBJECTS)
+def test_what_a_renderer_encodes_of_a_scene_on_the_host_is_on_the_device(name, monkeypatch):
+    """Objects one by one and kept, their light beside them; their keys would need values."""
+    monkeypatch.setattr(object_encoder, "object_keys", lambda batch, *_: list(range(len(batch.objects.lengths))))
+    with fake_gpu():
+        net = network_on(GPU, *VARIANTS[name]).eval()
+        batch = batch_for(net, scenes=1)
+        encoded = object_encoder.ObjectEncoder(net, GPU).encode(batch)
+        seen = (x.to(GPU) for x in (batch.c2w, batch.fov, batch.gbuffer))
+        assert net.view(encoded, *seen).device == GPU
+
+
+@pytest.mark.parametrize("name", WITH_OBJECTS)
+def test_objects_that_are_recomputed_one_by_one_are_not_waited_for(name):
+    with fake_gpu() as copies:
+        net = network_on(GPU, *VARIANTS[name]).train()
+        RecomputedObjects(8)(net)
+        batch = batch_for(net).to(GPU, non_blocking=True)
+        copies.waited_for.clear()
+        assert net(batch).log_radiance.device == GPU
         assert copies.waited_for == []
 
 

@@ -54,7 +54,7 @@ class _WithoutDriver(TorchFunctionMode):
         self.autocast = autocast
 
     @contextmanager
-    def autocast_set(self, device_type: str, enabled: bool = True) -> Iterator[None]:
+    def autocast_set(self, device_type: str, dtype: torch.dtype | None = None, enabled: bool = True) -> Iterator[None]:
         """In place of torch.autocast."""
         before, self.autocast = self.autocast, enabled
         yield

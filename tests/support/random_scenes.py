@@ -52,6 +52,8 @@ def random_views(
 def random_cells(rng: np.random.Generator, objects: int, per_object: int = 5) -> Cells:
     """Cells of no scene, which see each other at random."""
     count = objects * per_object
+    emitted = np.zeros((count, 3), np.float32)
+    emitted[-per_object:] = 2.0  # the last object is the lamp
 
     def numbers(*shape: int) -> np.ndarray:
         return rng.uniform(0.05, 0.4, (count, *shape)).astype(np.float32)
@@ -64,7 +66,7 @@ def random_cells(rng: np.random.Generator, objects: int, per_object: int = 5) ->
         diffuse=numbers(3),
         specular=numbers(3),
         roughness=numbers(),
-        emitted=np.zeros((count, 3), np.float32),
+        emitted=emitted,
         arriving=numbers(3),
         highlights=numbers(3),
         hits=rng.integers(-1, count, (count, 8)).astype(np.int32),
