@@ -34,8 +34,10 @@ class Refinement(nn.Module):
 
     Not in the paper; path tracers' denoisers read the same (Chaitanya et al. 2017). Every pixel becomes a weighted mean
     over itself and its eight neighbours (Bako et al. 2017), with weights of its own, times factors exp(γ tanh(map)) of
-    red, green and blue. So black stays black, and no correction is larger than γ allows. What it reads of the image is
-    in units of the image's mean: twice the light gives exactly twice the image. It is not linear in single lights.
+    red, green and blue. A black pixel stays black beside bright ones, too: light that spills over an outline into the
+    background, however little, is seen at a high exposure. No correction is larger than γ allows. What it reads of the
+    image is in units of the image's mean: twice the light gives exactly twice the image. It is not linear in single
+    lights.
 
     Args:
         widths: channels at full, half and quarter resolution.
@@ -78,8 +80,9 @@ class Refinement(nn.Module):
         half = self.to_half(torch.cat([_enlarged(quarter, half), half], dim=1))
         fine = self.to_full(torch.cat([_enlarged(half, fine), fine], dim=1))
         factors, weights = self.out(fine).float().split([3, 9], dim=1)
+        lit = radiance.amax(1, keepdim=True) > 0
         with in_float32(radiance):
-            return torch.exp(self.bound * torch.tanh(factors)) * _mixed(radiance, weights)
+            return lit * torch.exp(self.bound * torch.tanh(factors)) * _mixed(radiance, weights)
 
 
 #: Image 3, albedo 3, specular 3, roughness, normal 3, size of a pixel, whether there is a surface.

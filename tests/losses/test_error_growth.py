@@ -7,7 +7,16 @@ import torch
 from network_variants import batch_for
 from networks import network
 
-from rfpp.losses.error_growth import EXCHANGED_TOKENS, NO_TRANSPORT, PERMUTED_LIGHT, ErrorGrowth, donated, impaired
+from rfpp.losses.error_growth import (
+    EXCHANGED_SCENE,
+    EXCHANGED_TOKENS,
+    NO_TRANSPORT,
+    PERMUTED_LIGHT,
+    Donation,
+    ErrorGrowth,
+    donated,
+    impaired,
+)
 from rfpp.losses.log_l1 import log_l1
 
 NETWORKS = {
@@ -23,10 +32,18 @@ def net(request):
     return network(*request.param)
 
 
+def turned_over(donor: Donation) -> Donation:
+    """With the scene tokens in another order, before light has moved and after."""
+    tokens = donor.encoded.tokens
+    encoded = replace(donor.encoded, tokens=replace(tokens, features=tokens.features.flip(0)))
+    return Donation(donor.features.flip(0), encoded)
+
+
 @torch.no_grad()
-def test_a_scene_given_its_own_tokens_is_as_it_was(net):
+@pytest.mark.parametrize("what", [EXCHANGED_TOKENS, EXCHANGED_SCENE])
+def test_a_scene_given_its_own_is_as_it_was(net, what):
     batch = batch_for(net, scenes=1)
-    given = impaired(net, batch, donated(net, batch))[EXCHANGED_TOKENS]
+    given = impaired(net, batch, donated(net, batch))[what]
     torch.testing.assert_close(given, net(batch).log_radiance)
 
 
@@ -34,8 +51,19 @@ def test_a_scene_given_its_own_tokens_is_as_it_was(net):
 def test_another_scene_s_tokens_show_in_a_network_that_reads_them(net):
     batch = batch_for(net)
     donor = donated(net, batch)
-    given = impaired(net, batch, donor.flip(0)[: len(donor) // 2])[EXCHANGED_TOKENS]
+    few = replace(donor, features=donor.features.flip(0)[: len(donor.features) // 2])
+    given = impaired(net, batch, few)[EXCHANGED_TOKENS]
     assert not torch.allclose(given, net(batch).log_radiance, rtol=1e-3, atol=1e-5)
+
+
+@torch.no_grad()
+def test_another_scene_s_light_shows_also_where_tokens_know_none():
+    net = network("experiment=quickstart")
+    one = batch_for(net, scenes=1)
+    twice = replace(one, cells=one.cells.dimmed(torch.tensor([0.5])))
+    brighter = impaired(net, one, donated(net, twice))
+    torch.testing.assert_close(brighter[EXCHANGED_TOKENS], net(one).log_radiance)  # tokens know no light
+    assert (brighter[EXCHANGED_SCENE] > net(one).log_radiance + 1e-5).float().mean() > 0.1
 
 
 @torch.no_grad()
@@ -44,7 +72,7 @@ def test_and_not_in_one_that_does_not():
     for block in net.decoder.blocks:  # as training may leave them: rays look at nothing but rays
         block.cross_attention.out_proj.weight.zero_()
     batch = batch_for(net)
-    parts = impaired(net, batch, donated(net, batch).flip(0))
+    parts = impaired(net, batch, turned_over(donated(net, batch)))
     for image in parts.values():
         torch.testing.assert_close(image, net(batch).log_radiance, rtol=0, atol=0)
 
@@ -76,7 +104,7 @@ def test_a_network_without_an_operator_has_none_to_take_away():
     net = network("experiment=[large_scale,renderformer]")
     batch = batch_for(net)
     with torch.no_grad():
-        assert set(impaired(net, batch, donated(net, batch))) == {EXCHANGED_TOKENS}
+        assert set(impaired(net, batch, donated(net, batch))) == {EXCHANGED_TOKENS, EXCHANGED_SCENE}
 
 
 @torch.no_grad()

@@ -35,17 +35,28 @@ def test_before_training_an_image_of_one_colour_stays_as_it_is():
 
 def test_before_training_a_pixel_keeps_seven_eighths_of_itself():
     _, surfaces = views()
-    dot = torch.zeros(2, 3, 20, 24)
-    dot[..., 10, 10] = 1.0
+    dot = torch.full((2, 3, 20, 24), 0.1)
+    dot[..., 10, 10] += 1.0
     refined = refinement()(dot, surfaces, FOV)
-    assert refined[..., 10, 10].mean() == pytest.approx(7 / 8, abs=0.01)
-    torch.testing.assert_close(refined.sum((-2, -1)), torch.ones(2, 3))
+    assert refined[..., 10, 10].mean() == pytest.approx(0.1 + 7 / 8, abs=0.01)
+    torch.testing.assert_close(refined.sum((-2, -1)), dot.sum((-2, -1)))
 
 
 def test_twice_the_light_is_twice_the_image_and_none_is_none():
     net, (radiance, surfaces) = refinement(out=1.0), views()
     torch.testing.assert_close(net(2 * radiance, surfaces, FOV), 2 * net(radiance, surfaces, FOV))
     assert not net(torch.zeros_like(radiance), surfaces, FOV).any()
+
+
+def test_no_light_spills_into_black_pixels():
+    net, (radiance, surfaces) = refinement(out=1.0), views()
+    black = torch.zeros(2, 1, 20, 24, dtype=bool)
+    black[..., 8:12, 5:] = True
+    red = radiance.clone()
+    red[:, 1:] = 0
+    refined = net(radiance.masked_fill(black, 0), surfaces, FOV)
+    assert not refined.masked_select(black).any() and refined.masked_select(~black).all()
+    assert net(red, surfaces, FOV)[:, 0].all(), "a pixel of one colour is not black"
 
 
 def test_pixels_stay_within_the_bound_of_their_neighbours():

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import torch
 
 from rfpp.batch import RaggedBatch
-from rfpp.losses.error_growth import EXCHANGED_TOKENS, NO_TRANSPORT, PERMUTED_LIGHT, ErrorGrowth
+from rfpp.losses.error_growth import EXCHANGED_SCENE, EXCHANGED_TOKENS, NO_TRANSPORT, PERMUTED_LIGHT, ErrorGrowth
 from rfpp.model.renderformer_pp import RenderFormerPP
 from rfpp.shards.dataset import ShardSplit
 from rfpp.shards.views import AllViews
@@ -15,6 +15,7 @@ from rfpp.shards.views import AllViews
 #: What was made useless, as tables call it.
 HEADINGS = {
     EXCHANGED_TOKENS: "with other scenes' tokens",
+    EXCHANGED_SCENE: "with other scenes' tokens and light",
     PERMUTED_LIGHT: "with the cells' light dealt anew",
     NO_TRANSPORT: "without transport",
 }

@@ -15,7 +15,7 @@ from torch import Tensor, nn
 from rfpp.evaluation.measuring.clean_views import POINTS, CleanScene, clean_scene
 from rfpp.evaluation.measuring.confidence import INTERVAL, Estimate
 from rfpp.imaging.radiance import log_decode, log_encode
-from rfpp.losses.error_growth import donated, impaired
+from rfpp.losses.error_growth import Donation, donated, impaired
 from rfpp.losses.log_l1 import log_l1
 from rfpp.model.radiosity import UnlearnedRadiosity
 from rfpp.shards.dataset import ShardSplit
@@ -96,7 +96,7 @@ def measure(
         on_scene: called after each scene, for a progress bar.
     """
     errors = {name: LightErrors() for name in predictors}
-    donors: dict[str, Tensor] = {}
+    donors: dict[str, Donation] = {}
     for index in range(len(split)):
         scene = clean_scene(split, index, folder)
         for name, network in predictors.items():
@@ -110,11 +110,11 @@ def measure(
 def _images(
     network: nn.Module | None,
     scene: CleanScene,
-    donors: dict[str, Tensor],
+    donors: dict[str, Donation],
     name: str,
     autocast: Callable[[], torch.autocast],
 ) -> Sequence[tuple[str, Float[Tensor, "v 3 h w"]]]:
-    """Linear radiance by disabled part; the tokens for the next scene are stored in `donors`."""
+    """Linear radiance by disabled part; what is given to the next scene is stored in `donors`."""
     if network is None:
         return [(AS_IT_IS, scene.known)]
     batch = scene.batch(tuple(network.gbuffer_channels))

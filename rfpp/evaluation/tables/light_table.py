@@ -14,7 +14,8 @@ from rfpp.files import write_atomically
 COLUMNS = (
     "commit", "hardware", "data", "manifest", "method", "seed", "steps", "trained_on", "bounces", "scenes",
     "further_light", "further_light_low", "further_light_high", "further_light_median", "further_energy", "log_l1",
-    "log_l1_growth_exchanged_tokens", "log_l1_growth_permuted_light", "log_l1_growth_no_transport",
+    "log_l1_growth_exchanged_tokens", "log_l1_growth_exchanged_scene", "log_l1_growth_permuted_light",
+    "log_l1_growth_no_transport",
 )  # fmt: skip
 
 

@@ -94,7 +94,9 @@ def test_networks_rivals_and_known_light_are_measured_alike(split, tmp_path):
     predictors = {"known": None, "radiosity": UnlearnedRadiosity().eval(), "linear": net}
     found = measure(predictors, split, tmp_path, lambda: torch.autocast("cpu", enabled=False))
     assert found["known"].further().mean == pytest.approx(1.0, rel=1e-5)
-    assert set(found["linear"].growth()) == {"exchanged_tokens", "permuted_light", "no_transport"}
+    assert set(found["linear"].growth()) == {
+        "exchanged_tokens", "exchanged_scene", "permuted_light", "no_transport",
+    }  # fmt: skip
     assert found["radiosity"].growth() == {}
     assert found["radiosity"].further().scenes == len(split)
 
