@@ -27,6 +27,7 @@ from rfpp.metrics.baselines import (
 from rfpp.metrics.image import ImageMetrics
 from rfpp.metrics.l1_parts import CHANNELS as PART_CHANNELS
 from rfpp.shards.dataset import ShardSplit
+from rfpp.shards.sample import SceneSample
 from rfpp.shards.views import select_views
 
 OnScene = Callable[[], None]
@@ -122,9 +123,7 @@ def baseline_records(
     records = []
     for index in _scenes(split):
         sample = split[index]
-        views = select_views(sample, range(len(sample.fov)), _KNOWN)
-        gbuffer = _by_name(torch.from_numpy(views.gbuffer).to(device))
-        reference = torch.from_numpy(views.image).to(device)
+        gbuffer, reference = known_views(sample, device)
         counts = (len(sample.triangles), sample.triangles.num_objects, sample.triangles.num_lights)
         for baseline in baselines:
             values = metrics(baseline.predict(gbuffer), reference, gbuffer)
@@ -161,9 +160,13 @@ def _training_views(split: ShardSplit, scenes: int) -> Iterator[tuple[dict[str, 
     """(channels, radiance), all [V, 3, H, W], scene by scene."""
     count = min(scenes, len(split))
     for index in np.linspace(0, len(split) - 1, count).round().astype(int):
-        sample = split[int(index)]
-        views = select_views(sample, range(len(sample.fov)), _KNOWN)
-        yield _by_name(torch.from_numpy(views.gbuffer)), torch.from_numpy(views.image)
+        yield known_views(split[int(index)], torch.device("cpu"))
+
+
+def known_views(sample: SceneSample, device: torch.device) -> tuple[dict[str, Float[Tensor, "v _ h w"]], Tensor]:
+    """What baselines predict a stored scene's views from, by channel, and the views' [V, 3, H, W] linear radiance."""
+    views = select_views(sample, range(len(sample.fov)), _KNOWN)
+    return _by_name(torch.from_numpy(views.gbuffer).to(device)), torch.from_numpy(views.image).to(device)
 
 
 def _by_name(gbuffer: Float[Tensor, "v c h w"]) -> dict[str, Float[Tensor, "v _ h w"]]:

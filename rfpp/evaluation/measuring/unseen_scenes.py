@@ -13,6 +13,7 @@ from jaxtyping import Float
 
 from rfpp.batch import RaggedBatch, SceneViews
 from rfpp.evaluation.measuring.confidence import Bootstrap, Estimate
+from rfpp.evaluation.measuring.evaluate import fitted_baselines, known_views
 from rfpp.imaging.radiance import log_decode
 from rfpp.inference.gbuffers import GBufferSource
 from rfpp.inference.renderer import Renderer
@@ -22,6 +23,7 @@ from rfpp.metrics.lpips import LPIPS
 from rfpp.model.radiosity import UnlearnedRadiosity
 from rfpp.scene.packed import PackedScene
 from rfpp.shards.dataset import ShardSplit
+from rfpp.shards.sample import SceneSample
 
 Row = dict[str, str | int | float]
 Images = Float[np.ndarray, "v h w 3"]
@@ -54,16 +56,21 @@ class Method(Protocol):
 def measure(
     checkpoints: Sequence[str],
     sets: Sequence[StoredScenes],
+    fitted_on: StoredScenes | None,
+    baseline_scenes: int,
     bootstrap: Bootstrap,
     progress: Callable[[int, int], None],
     lpips_trunk_path: Path | str | None = None,
 ) -> Iterator[Row]:
     """A row per set and method: means over scenes of log-L1, LPIPS, ꟻLIP and SSIM, and by how much of radiosity's mean
-    they differ from radiosity's; each with its 95% interval over scenes.
+    they differ from radiosity's; each with its 95% interval over scenes. Trivial baselines predict from the stored
+    G-buffers, of one point a pixel.
 
     Args:
         checkpoints: see `rfpp.checkpoint.loading.load_network`.
         sets: of scenes with references.
+        fitted_on: what the trivial baselines are fitted on; None leaves them out.
+        baseline_scenes: of it, at most.
         bootstrap: of the intervals.
         progress: called with (scenes done, scenes in all).
         lpips_trunk_path: see `rfpp.metrics.lpips_weights.trunk_weights`.
@@ -75,15 +82,20 @@ def measure(
     methods: dict[str, Method] = {UnlearnedRadiosity.name: ByRadiosity()}
     methods |= {name: ByNetwork(Renderer.load(name)) for name in checkpoints}
     splits = [ShardSplit(of.root, of.split) for of in sets]
+    baselines = fitted_on and fitted_baselines(ShardSplit(fitted_on.root, fitted_on.split), baseline_scenes)
+    trivial = {baseline.name: baseline for baseline in baselines or ()}
     total, done = sum(map(len, splits)), 0
     for of, split in zip(sets, splits, strict=True):
-        errors = {name: np.zeros((len(split), len(_METRICS))) for name in methods}
+        errors = {name: np.zeros((len(split), len(_METRICS))) for name in (*methods, *trivial)}
         for index in range(len(split)):
-            sample = split.read(index, None, ())
-            scene = PackedScene(sample.key, sample.triangles, sample.c2w, sample.fov)
+            sample = split[index]
+            scene, references = _scene(sample), sample.images.astype(np.float32)
             for name, method in methods.items():
-                images = method(scene, sample.images.shape[1:3])
-                errors[name][index] = _errors(images, sample.images.astype(np.float32), metrics)
+                errors[name][index] = _errors(method(scene, references.shape[1:3]), references, metrics)
+            known, _ = known_views(sample, torch.device("cpu"))
+            for name, baseline in trivial.items():
+                images = baseline.predict(known).permute(0, 2, 3, 1).numpy()
+                errors[name][index] = _errors(images, references, metrics)
             done += 1
             progress(done, total)
         rival = errors[UnlearnedRadiosity.name]
@@ -96,6 +108,10 @@ def measure(
                 **_columns("", bootstrap(of_scenes)),
                 **_columns("_change", bootstrap((of_scenes - rival) / rival.mean(axis=0))),
             }
+
+
+def _scene(sample: SceneSample) -> PackedScene:
+    return PackedScene(sample.key, sample.triangles, sample.c2w, sample.fov)
 
 
 def _columns(what: str, estimates: Sequence[Estimate]) -> Row:

@@ -18,8 +18,8 @@ class PartUse(L.Callback):
     """Logs the relative growth of the validation error when one part of the network is disabled.
 
     Logged as `life/exchanged_tokens`, `life/exchanged_scene`, `life/permuted_light` and `life/no_transport`
-    (`rfpp.losses.error_growth`). At 0 the part is not used. Warns once if a network does not read its scene tokens. With
-    several processes, rank 0's scenes are used.
+    (`rfpp.losses.error_growth`). At 0 the part is not used. Warns once if a network does not read its scene tokens.
+    With several processes, rank 0's scenes are used.
 
     Args:
         scenes: of validation, at most; the first has no other scene's tokens to be given and is left out.

@@ -13,6 +13,7 @@ from rfpp.evaluation.measuring.unseen_scenes import ByRadiosity, StoredScenes, m
 from rfpp.scene.packed import PackedScene
 from rfpp.shards.dataset import ShardSplit
 
+BASELINES = ("black", "mean image", "albedo x constant", "direct light alone", "reflections too")
 LINEAR = "experiment=quickstart"
 
 
@@ -36,16 +37,24 @@ def rows(kept):
     sets = [StoredScenes(split, str(kept / "grey"), split) for split in ("validation", "test")]
     turns = []
     names = [str(kept / name) for name in ("untrained", "brighter")]
-    measured = measure(names, sets, Bootstrap(200, 0), lambda *turn: turns.append(turn), kept / "vgg.pth")
+    fitted_on = StoredScenes("", str(kept / "grey"), "validation")
+    measured = measure(names, sets, fitted_on, 2, Bootstrap(200, 0), lambda *turn: turns.append(turn), kept / "vgg.pth")
     found = {(row["data"], row["method"].split("/")[-1]): row for row in measured}
     assert turns == [(n, 5) for n in range(1, 6)]
     return found
 
 
 def test_a_row_for_each_set_and_method(rows):
-    methods = ("unlearned radiosity", "untrained", "brighter")
+    methods = ("unlearned radiosity", "untrained", "brighter", *BASELINES)
     assert list(rows) == [(split, method) for split in ("validation", "test") for method in methods]
-    assert [row["scenes"] for row in rows.values()] == [2] * 3 + [3] * 3
+    assert [row["scenes"] for row in rows.values()] == [2] * 8 + [3] * 8
+
+
+def test_baselines_stand_beside_the_networks(rows):
+    for split in ("validation", "test"):  # grey images of 0.3
+        assert rows[split, "black"]["log_l1"] == pytest.approx(np.log10(1.3), rel=1e-3)
+        assert rows[split, "mean image"]["log_l1"] == pytest.approx(0, abs=1e-3)
+        assert rows[split, "black"]["log_l1_change_low"] <= rows[split, "black"]["log_l1_change"]
 
 
 def test_a_network_that_has_learned_nothing_is_radiosity(rows):
