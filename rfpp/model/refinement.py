@@ -119,8 +119,7 @@ def _enlarged(
 
 def _mixed(image: Float[Tensor, "n 3 h w"], weights: Float[Tensor, "n 9 h w"]) -> Float[Tensor, "n 3 h w"]:
     """Each pixel with its neighbours, by the softmax of its weights."""
-    own = torch.zeros(9, device=weights.device)
-    own[4] = _OWN
+    own = _OWN * (torch.arange(9, device=weights.device) == 4)
     shares = torch.softmax(weights + own[:, None, None], dim=1)
     padded, (height, width) = F.pad(image, [1] * 4, mode="replicate"), image.shape[-2:]
     mixed = torch.zeros_like(image)

@@ -47,7 +47,7 @@ class Copies(TorchDispatchMode):
 
 
 class _WithoutDriver(TorchFunctionMode):
-    """What PyTorch does only where there is a driver: autocast, and indexing from Python."""
+    """What PyTorch does only where there is a driver: autocast, and from Python indexing and changing memory's order."""
 
     def __init__(self, autocast: bool) -> None:
         super().__init__()
@@ -63,6 +63,8 @@ class _WithoutDriver(TorchFunctionMode):
     def __torch_function__(self, func, types, args=(), kwargs=None):
         if func is torch.Tensor.__getitem__ and args[0].is_cuda:
             return _indexed(*args)
+        if func is torch.Tensor.contiguous and args[0].is_cuda:
+            return torch.ops.aten.clone.default(*args, **(kwargs or {"memory_format": torch.contiguous_format}))
         if self.autocast and func in _MATRIX_PRODUCTS:
             args = [a.bfloat16() if isinstance(a, torch.Tensor) and a.is_cuda else a for a in args]
         return func(*args, **(kwargs or {}))

@@ -15,6 +15,10 @@ VARIANTS = {
     "paper": PAPER,
     "quickstart": ("experiment=quickstart", *HEADS),
     "known_light": ("experiment=quickstart", "model=known_light", *HEADS),
+    "refined": (
+        "experiment=quickstart", *HEADS,
+        "+model.refinement={_target_: rfpp.model.refinement.Refinement, widths: [8, 12, 16], bound: 1.0}",
+    ),
     "windows": (*PAPER, "+model.decoder.windows={_target_: rfpp.model.ray_windows.ShiftedWindows, size: 2}"),
     **{
         name: (f"experiment=[large_scale,{name}]", "size=tiny", *HEADS)
