@@ -16,7 +16,7 @@ from rfpp.errors import SceneError
 from rfpp.scene.io.limits import MAX_TEXT_BYTES
 from rfpp.scene.mesh import Mesh, decimated, normalized_together
 from rfpp.scene.sampling.objects.archive import read_member
-from rfpp.scene.sampling.objects.library import Library
+from rfpp.scene.sampling.objects.library import Library, Prepared
 from rfpp.scene.sampling.objects.material_groups import face_shares
 from rfpp.scene.sampling.objects.preparation import Preparation
 from rfpp.scene.sampling.objects.refinement import is_closed, refined
@@ -24,6 +24,10 @@ from rfpp.scene.sampling.objects.solid import closed_decimation
 
 #: Objects drawn for one place in a scene before the request counts as impossible.
 _ATTEMPTS = 100
+
+
+class TooFewFacesError(SceneError):
+    """An object cannot be reduced to so few faces, or not without holes."""
 
 
 @dataclass(frozen=True)
@@ -148,19 +152,31 @@ class PreparedObjects(ABC):
         library = self.library()
         objects = library.part(held_out)
         for _ in range(_ATTEMPTS):
-            item = objects[int(rng.integers(len(objects)))]
-            parts = library.parts(item)
             try:
-                shares = [target_faces] if len(parts) == 1 else face_shares([len(part) for part in parts], target_faces)
-                sized = [_with_faces(part, share) for part, share in zip(parts, shares, strict=True)]
-            except SceneError:
+                return self.sized(library, objects[int(rng.integers(len(objects)))], target_faces)
+            except TooFewFacesError:
                 continue
-            if all(share - len(part) <= 1 for part, share in zip(sized, shares, strict=True)):
-                return normalized_together(sized)
         raise SceneError(
             f"{self.library_root}: none of {_ATTEMPTS} objects can have {target_faces} faces: "
             "raise family.budget.per_object or bring other meshes"
         )
+
+    def sized(self, library: Library, item: Prepared, target_faces: int) -> tuple[Mesh, ...]:
+        """The object in its parts, decimated or refined to `target_faces` faces or one below for each.
+
+        Raises:
+            TooFewFacesError: that cannot be had of it.
+            SceneError: its file is missing or damaged.
+        """
+        parts = library.parts(item)
+        try:
+            shares = [target_faces] if len(parts) == 1 else face_shares([len(part) for part in parts], target_faces)
+            sized = [_with_faces(part, share) for part, share in zip(parts, shares, strict=True)]
+        except SceneError as error:
+            raise TooFewFacesError(f"{library.root}: {item.id}: {error}") from None
+        if any(share - len(part) > 1 for part, share in zip(sized, shares, strict=True)):
+            raise TooFewFacesError(f"{library.root}: {item.id} cannot have {target_faces} faces: ask for more")
+        return normalized_together(sized)
 
 
 def _with_faces(part: Mesh, faces: int) -> Mesh:
