@@ -34,8 +34,8 @@ class Refinement(nn.Module):
 
     Not in the paper; path tracers' denoisers read the same (Chaitanya et al. 2017). Every pixel becomes a weighted mean
     over itself and its eight neighbours (Bako et al. 2017), with weights of its own, times factors exp(γ tanh(map)) of
-    red, green and blue. A black pixel stays black beside bright ones, too: light that spills over an outline into the
-    background, however little, is seen at a high exposure. No correction is larger than γ allows. What it reads of the
+    red, green and blue. A black pixel without a surface stays black beside bright ones, too: light that spills over an
+    outline, however little, is seen at a high exposure. No correction is larger than γ allows. What it reads of the
     image is in units of the image's mean: twice the light gives exactly twice the image. It is not linear in single
     lights.
 
@@ -80,9 +80,9 @@ class Refinement(nn.Module):
         half = self.to_half(torch.cat([_enlarged(quarter, half), half], dim=1))
         fine = self.to_full(torch.cat([_enlarged(half, fine), fine], dim=1))
         factors, weights = self.out(fine).float().split([3, 9], dim=1)
-        lit = radiance.amax(1, keepdim=True) > 0
+        lit_or_surface = radiance.amax(1, keepdim=True) + _hit(gbuffer) > 0
         with in_float32(radiance):
-            return lit * torch.exp(self.bound * torch.tanh(factors)) * _mixed(radiance, weights)
+            return lit_or_surface * torch.exp(self.bound * torch.tanh(factors)) * _mixed(radiance, weights)
 
 
 #: Image 3, albedo 3, specular 3, roughness, normal 3, size of a pixel, whether there is a surface.
@@ -105,10 +105,16 @@ def _surfaces(gbuffer: Float[Tensor, "n 13 h w"], fov: Float[Tensor, " n"]) -> F
     How far corners' shadows reach is a matter of lengths, not of pixels.
     """
     material, normal, position = gbuffer.split([7, 3, 3], dim=1)
-    hit = (normal.square().sum(1, keepdim=True) > 0).to(gbuffer)
+    hit = _hit(gbuffer)
     pixel = 2 * torch.tan(torch.deg2rad(fov) / 2)[:, None, None, None] / max(gbuffer.shape[-2:])
     size = pixel * position.square().sum(1, keepdim=True).sqrt()
     return torch.cat([material, normal, hit * torch.log2(64 * size.clamp_min(1e-6)), hit], dim=1)
+
+
+def _hit(gbuffer: Float[Tensor, "n 13 h w"]) -> Float[Tensor, "n 1 h w"]:
+    """1 where any point of a pixel shows a surface, else 0."""
+    normal = gbuffer[:, 7:10]
+    return (normal.square().sum(1, keepdim=True) > 0).to(gbuffer)
 
 
 def _enlarged(

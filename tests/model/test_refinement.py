@@ -48,15 +48,16 @@ def test_twice_the_light_is_twice_the_image_and_none_is_none():
     assert not net(torch.zeros_like(radiance), surfaces, FOV).any()
 
 
-def test_no_light_spills_into_black_pixels():
+def test_no_light_spills_into_a_black_background():
     net, (radiance, surfaces) = refinement(out=1.0), views()
     black = torch.zeros(2, 1, 20, 24, dtype=bool)
-    black[..., 8:12, 5:] = True
-    red = radiance.clone()
-    red[:, 1:] = 0
-    refined = net(radiance.masked_fill(black, 0), surfaces, FOV)
+    black[..., 8:10, 5:] = True
+    image, without = radiance.masked_fill(black, 0), surfaces.clone()
+    without[:, 7:10] = without[:, 7:10].masked_fill(black, 0)
+    refined = net(image, without, FOV)
     assert not refined.masked_select(black).any() and refined.masked_select(~black).all()
-    assert net(red, surfaces, FOV)[:, 0].all(), "a pixel of one colour is not black"
+    assert net(image, surfaces, FOV).all(), "a surface that no sample lit takes light from its neighbours"
+    assert net(radiance, without, FOV).all(), "nor is what an outline's points lit beside it black"
 
 
 def test_pixels_stay_within_the_bound_of_their_neighbours():
