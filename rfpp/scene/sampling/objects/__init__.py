@@ -1,1 +1,1 @@
-"""Where object meshes come from: procedural solids, a folder of meshes, Objaverse."""
+"""Where object meshes come from: procedural solids, a folder of meshes, furniture, Objaverse."""
