@@ -92,7 +92,7 @@ def measure(
             scene, references = _scene(sample), sample.images.astype(np.float32)
             for name, method in methods.items():
                 errors[name][index] = _errors(method(scene, references.shape[1:3]), references, metrics)
-            known, _ = known_views(sample, torch.device("cpu"))
+            known = known_views(sample, torch.device("cpu"))[0] if trivial else {}
             for name, baseline in trivial.items():
                 images = baseline.predict(known).permute(0, 2, 3, 1).numpy()
                 errors[name][index] = _errors(images, references, metrics)
