@@ -35,11 +35,11 @@ def test_before_training_an_image_of_one_colour_stays_as_it_is():
 
 def test_before_training_a_pixel_keeps_seven_eighths_of_itself():
     _, surfaces = views()
-    dot = torch.full((2, 3, 20, 24), 0.1)
-    dot[..., 10, 10] += 1.0
+    dot = torch.zeros(2, 3, 20, 24)
+    dot[..., 10, 10] = 1.0
     refined = refinement()(dot, surfaces, FOV)
-    assert refined[..., 10, 10].mean() == pytest.approx(0.1 + 7 / 8, abs=0.01)
-    torch.testing.assert_close(refined.sum((-2, -1)), dot.sum((-2, -1)))
+    assert refined[..., 10, 10].mean() == pytest.approx(7 / 8, abs=0.01)
+    torch.testing.assert_close(refined.sum((-2, -1)), torch.ones(2, 3))
 
 
 def test_twice_the_light_is_twice_the_image_and_none_is_none():
