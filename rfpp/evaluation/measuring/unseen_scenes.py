@@ -12,6 +12,7 @@ import torch
 from jaxtyping import Float
 
 from rfpp.batch import RaggedBatch, SceneViews
+from rfpp.errors import UserError
 from rfpp.evaluation.measuring.confidence import Bootstrap, Estimate
 from rfpp.evaluation.measuring.evaluate import fitted_baselines, known_views
 from rfpp.imaging.radiance import log_decode
@@ -40,11 +41,13 @@ class StoredScenes:
         title: what the table calls it.
         root: folder of the data set.
         split: of it.
+        same_rooms_as: title of scenes measured before, whose rooms, one by one, hold other objects.
     """
 
     title: str
     root: str
     split: str
+    same_rooms_as: str | None = None
 
 
 class Method(Protocol):
@@ -63,8 +66,9 @@ def measure(
     lpips_trunk_path: Path | str | None = None,
 ) -> Iterator[Row]:
     """A row per set and method: means over scenes of log-L1, LPIPS, ꟻLIP and SSIM, and by how much of radiosity's mean
-    they differ from radiosity's; each with its 95% interval over scenes. Trivial baselines predict from the stored
-    G-buffers, of one point a pixel.
+    they differ from radiosity's; each with its 95% interval over scenes. Of `same_rooms_as`, also by how much of the
+    errors there they differ from these, room by room. Trivial baselines predict from the stored G-buffers, of one point
+    a pixel.
 
     Args:
         checkpoints: see `rfpp.checkpoint.loading.load_network`.
@@ -77,6 +81,7 @@ def measure(
 
     Raises:
         CheckpointError, ShardError: what cannot be read.
+        UserError: `same_rooms_as` names no scenes before, or another number of them.
     """
     metrics = ImageMetrics(LPIPS.pretrained(lpips_trunk_path))
     methods: dict[str, Method] = {UnlearnedRadiosity.name: ByRadiosity()}
@@ -84,9 +89,11 @@ def measure(
     splits = [ShardSplit(of.root, of.split) for of in sets]
     baselines = fitted_on and fitted_baselines(ShardSplit(fitted_on.root, fitted_on.split), baseline_scenes)
     trivial = {baseline.name: baseline for baseline in baselines or ()}
+    _require_rooms(sets, splits)
     total, done = sum(map(len, splits)), 0
+    by_set: dict[str, dict[str, np.ndarray]] = {}
     for of, split in zip(sets, splits, strict=True):
-        errors = {name: np.zeros((len(split), len(_METRICS))) for name in (*methods, *trivial)}
+        errors = by_set[of.title] = {name: np.zeros((len(split), len(_METRICS))) for name in (*methods, *trivial)}
         for index in range(len(split)):
             sample = split[index]
             scene, references = _scene(sample), sample.images.astype(np.float32)
@@ -99,6 +106,7 @@ def measure(
             done += 1
             progress(done, total)
         rival = errors[UnlearnedRadiosity.name]
+        elsewhere = by_set[of.same_rooms_as] if of.same_rooms_as else {}
         for name, of_scenes in errors.items():
             yield {
                 "data": of.title,
@@ -106,8 +114,26 @@ def measure(
                 "scenes": len(split),
                 "method": name,
                 **_columns("", bootstrap(of_scenes)),
-                **_columns("_change", bootstrap((of_scenes - rival) / rival.mean(axis=0))),
+                **_columns("_change", bootstrap(_relative(of_scenes, rival))),
+                **(_columns("_beside", bootstrap(_relative(of_scenes, elsewhere[name]))) if elsewhere else {}),
             }
+
+
+def _require_rooms(sets: Sequence[StoredScenes], splits: Sequence[ShardSplit]) -> None:
+    """Raises UserError: see `measure`."""
+    scenes: dict[str, int] = {}
+    for of, split in zip(sets, splits, strict=True):
+        if of.same_rooms_as is not None and scenes.get(of.same_rooms_as) != len(split):
+            raise UserError(
+                f"benchmark.sets: '{of.title}' has {len(split)} scenes, '{of.same_rooms_as}' "
+                f"{scenes.get(of.same_rooms_as, 'is not before it')}: generate as many of both, in this order"
+            )
+        scenes[of.title] = len(split)
+
+
+def _relative(errors: Float[np.ndarray, "scenes m"], rival: Float[np.ndarray, "scenes m"]) -> np.ndarray:
+    """[scenes, m] differences, as shares of the rival's means."""
+    return (errors - rival) / rival.mean(axis=0)
 
 
 def _scene(sample: SceneSample) -> PackedScene:

@@ -8,6 +8,7 @@ from random_vgg import random_trunk
 from small_data import Constant, make
 
 from rfpp import Renderer
+from rfpp.errors import UserError
 from rfpp.evaluation.measuring.confidence import Bootstrap
 from rfpp.evaluation.measuring.unseen_scenes import ByRadiosity, StoredScenes, measure
 from rfpp.scene.packed import PackedScene
@@ -72,6 +73,18 @@ def test_changes_are_paired_and_relative_to_radiosity(rows):
         assert brighter["log_l1_change"] == pytest.approx(change) and abs(change) > 1e-4
         assert brighter["log_l1_change_low"] <= change <= brighter["log_l1_change_high"]
         assert brighter["log_l1_low"] <= brighter["log_l1"] <= brighter["log_l1_high"]
+
+
+def test_scenes_of_the_same_rooms_are_compared_one_by_one(kept):
+    root = str(kept / "grey")
+    sets = [StoredScenes("seen", root, "test"), StoredScenes("held out", root, "test", same_rooms_as="seen")]
+    lpips = kept / "vgg.pth"
+    rows = list(measure([], sets, None, 0, Bootstrap(200, 0), lambda *_: None, lpips))
+    assert [row["data"] for row in rows if "log_l1_beside" in row] == ["held out"]
+    assert rows[1]["log_l1_beside"] == rows[1]["log_l1_beside_high"] == 0  # each room beside itself
+    sets = [StoredScenes("seen", root, "validation"), StoredScenes("held out", root, "test", same_rooms_as="seen")]
+    with pytest.raises(UserError, match="'held out' has 3 scenes, 'seen' 2: generate as many"):
+        list(measure([], sets, None, 0, Bootstrap(200, 0), lambda *_: None, lpips))
 
 
 def test_radiosity_renders_every_view(kept):
