@@ -218,14 +218,13 @@ def cells_seen(
             specular = triple(points.specular[row])
             first, second = tangents(normal)
             view = in_frame(points.eye[row], first, second, normal)
-            mean_diffuse, mean_specular = mean(points.diffuse[row]), mean(specular)
             # as dense as diffuse light arrives: points of a disc, lifted (Malley 1988)
             radius, angle = np.sqrt(u), 2 * np.pi * v
             toward = (radius * np.cos(angle), radius * np.sin(angle), np.sqrt(1 - u))
-            by_lobe = lobe_and_pdf(view, toward, alpha)[1] if alpha >= 0 else 0.0
-            density = density_of_lobes(mean_diffuse, mean_specular, toward[2], by_lobe)
             way = in_world(toward, first, second, normal)
-            end = followed(scene, table, point, way, density, key_of(own_key, 2 * s), True, True, place + s)
+            # the density of the diffuse lobe alone: where the glossy lobe is dense, too, diffuse rays are as few as
+            # anywhere, and one that met a highlight in a mirror, not blurred, would light a window of pixels
+            end = followed(scene, table, point, way, toward[2] / np.pi, key_of(own_key, 2 * s), True, True, place + s)
             diffuse[pixel, s], diffuse_on[pixel, s] = end.cell, end.onward
             for c in range(3):
                 light[pixel, c] += end.light[c] / rays
@@ -241,8 +240,8 @@ def cells_seen(
             sent, way = thrown(scene, view, alpha, specular, u, v, threshold, first, second, normal)
             if not sent:
                 continue
-            toward = in_frame(way, first, second, normal)
-            density = density_of_lobes(mean_diffuse, mean_specular, toward[2], lobe_and_pdf(view, toward, alpha)[1])
+            toward, albedos = in_frame(way, first, second, normal), (mean(points.diffuse[row]), mean(specular))
+            density = density_of_lobes(*albedos, toward[2], lobe_and_pdf(view, toward, alpha)[1])
             # the emitters' light that comes this way is in `reflected_light`
             end = followed(scene, table, point, way, density, key_of(own_key, 2 * s + 1), False, False, 0)
             glossy[pixel, s], glossy_on[pixel, s] = end.cell, end.onward

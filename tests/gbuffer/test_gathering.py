@@ -139,6 +139,20 @@ def test_bounced_light_is_linear_in_light_and_of_both_lobes():
     assert seen_by(lit_wall(), camera)[0].bounced.max() > 0
 
 
+def test_what_a_surface_mirrors_itself_does_not_change_what_its_diffuse_rays_bring():
+    """Nor do highlights that its glossy lobe would see sharp: the few diffuse rays that meet them would be blots."""
+    camera = look_at((0, -1.2, 0.4), (0, 0, 0.1))
+    mirror = (sphere(0.2, (0, 0.3, 0.25)), material(0.0, specular=0.9, roughness=0.05))
+    lamp = (square(0.1, z=1.5)[:, ::-1], material(emission=2000.0))
+    bounced = []
+    for specular in (0.0, 0.3):
+        scene = pack((square(1.0), material(0.5, specular=specular, roughness=0.3)), mirror, lamp)
+        triangle = first_hit(scene, camera, FOV, SIDE, SIDE).triangle
+        bounced.append(seen_by(scene, camera)[0].bounced[(triangle >= 0) & (triangle < 2)])
+    assert bounced[0].max() > 0
+    np.testing.assert_array_equal(*bounced)
+
+
 WALL = np.array([[[0.5, -0.5, 0], [0.5, 0.5, 1], [0.5, 0.5, 0]], [[0.5, -0.5, 0], [0.5, -0.5, 1], [0.5, 0.5, 1]]])
 
 
