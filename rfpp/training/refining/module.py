@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from typing import Any
 
 import lightning as L
@@ -14,6 +16,20 @@ from torch.optim.lr_scheduler import LRScheduler
 from rfpp.imaging.radiance import log_encode
 from rfpp.losses.log_l1 import log_l1
 from rfpp.model.refinement import Refinement
+
+
+@dataclass(frozen=True)
+class Validation:
+    """Attributes:
+    step: after which it was.
+    minutes: of training until then, with the validations before.
+    refined, unrefined: log-L1 of each image.
+    """
+
+    step: int
+    minutes: float
+    refined: list[float]
+    unrefined: list[float]
 
 
 class RefinementModule(L.LightningModule):
@@ -35,8 +51,9 @@ class RefinementModule(L.LightningModule):
     ):
         super().__init__()
         self.refinement, self._loss, self._optimizer, self._schedule = refinement, loss, optimizer, schedule
-        #: log-L1 of each image of the last validation, refined and not.
-        self.errors: tuple[list[float], list[float]] = ([], [])
+        #: From the first to the last.
+        self.validations: list[Validation] = []
+        self._begin = time.monotonic()
 
     def forward(self, batch: dict[str, Tensor]) -> Tensor:
         """[N, 3, H, W] linear radiance."""
@@ -48,16 +65,22 @@ class RefinementModule(L.LightningModule):
         self.log("train/loss", loss.detach(), prog_bar=True)
         return loss
 
+    def on_train_start(self) -> None:
+        self._begin = time.monotonic()
+
     def on_validation_epoch_start(self) -> None:
-        self.errors = ([], [])
+        minutes = (time.monotonic() - self._begin) / 60
+        self.validations.append(Validation(self.global_step, minutes, [], []))
 
     def validation_step(self, batch: dict[str, Tensor], _: int) -> None:
-        for errors, images in zip(self.errors, (self(batch), batch["radiance"]), strict=True):
+        now = self.validations[-1]
+        for errors, images in ((now.refined, self(batch)), (now.unrefined, batch["radiance"])):
             pairs = zip(images, batch["reference"], strict=True)
             errors += [log_l1(log_encode(image), reference).item() for image, reference in pairs]
 
     def on_validation_epoch_end(self) -> None:
-        for name, errors in zip(("log_l1", "unrefined_log_l1"), self.errors, strict=True):
+        now = self.validations[-1]
+        for name, errors in (("log_l1", now.refined), ("unrefined_log_l1", now.unrefined)):
             self.log(f"validation/{name}", sum(errors) / len(errors), prog_bar=name == "log_l1")
 
     def configure_optimizers(self) -> dict[str, Any]:

@@ -41,6 +41,7 @@ class RenderedViews(Dataset):
         seed: of these draws.
         folder: of what is kept, for any network and data set.
         progress: called with (scenes rendered, scenes).
+        scenes: of the split's the first so many; None: all.
 
     Raises:
         UserError: files cannot be written, or one is damaged.
@@ -55,19 +56,21 @@ class RenderedViews(Dataset):
         seed: int,
         folder: Path,
         progress: Callable[[int, int], None],
+        scenes: int | None = None,
     ):
         self.manifest = split.manifest
         what = repr((_digest(renderer.network), renderer.dtype, split.manifest.hash, split.split, samplings, seed))
         folder = folder / blake2b(what.encode(), digest_size=16).hexdigest()
         self.files: list[Path] = []
-        for index in range(len(split)):
-            progress(index, len(split))
+        count = len(split) if scenes is None else min(scenes, len(split))
+        for index in range(count):
+            progress(index, count)
             file = folder / f"{split.key(index)}.npz"
             if not file.exists():
                 rng = np.random.default_rng([seed, index])
                 write_atomically(file, _rendered(renderer, split, index, samplings, rng))
             self.files.append(file)
-        progress(len(split), len(split))
+        progress(count, count)
         self.views = [(file, view) for file in self.files for view in range(_views(file))]
 
     def __len__(self) -> int:
