@@ -32,9 +32,8 @@ def measure(
     for number, count in enumerate(scenes):
         cfg = compose([*overrides, f"refining.scenes={count}"])
         renderer = Renderer.load(cfg["checkpoint"], "cpu")
-        views, validation = (
-            rendered(cfg, renderer, split, of, lambda *_: None) for split, of in (("train", count), ("validation", None))
-        )
+        of_splits = (("train", count), ("validation", None))
+        views, validation = (rendered(cfg, renderer, *split, lambda *_: None) for split in of_splits)
         module = fitted(cfg, views, validation, False, [])
         progress(number + 1, len(scenes))
         for at in module.validations:
