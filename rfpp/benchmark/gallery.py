@@ -1,21 +1,19 @@
-"""A gallery of a trained network's pictures beside Cycles, with render times."""
+"""A gallery of a trained network's pictures beside Cycles: converged, and with as few samples as take the same time."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-import torch
-
+from rfpp.benchmark.equal_time import errors
 from rfpp.benchmark.exhibits import SampledScene, SceneFile
-from rfpp.imaging.panels import error_map, panel, save_png, tone_mapped
-from rfpp.inference.references import path_traced
+from rfpp.imaging.panels import Picture, error_map, panel, save_png, tone_mapped
+from rfpp.inference.references import Traced, path_traced
 from rfpp.inference.renderer import Renderer
-from rfpp.metrics.flip import flip
-from rfpp.metrics.image import log_l1
 from rfpp.reference.cycles import CyclesSettings
+from rfpp.scene.packed import PackedScene
 
 Row = dict[str, str | int | float]
 
@@ -25,53 +23,96 @@ def measure(
     exhibits: Sequence[SceneFile | SampledScene],
     resolution: int,
     reference: CyclesSettings,
+    rival: CyclesSettings,
+    rival_samples: Sequence[int],
     picture: Path | str,
     progress: Callable[[int, int], None],
 ) -> Iterator[Row]:
-    """A row per exhibit: seconds of network and Cycles, log-L1 and ꟻLIP; at the end, a sheet of all of them.
+    """A row per exhibit: seconds and errors of the network and of its rival; at the end, a sheet of all of them.
 
-    The network's time is that of a scene that it has not seen before: rays, encoding and decoding, after one picture
-    of another scene to wake it up.
+    All are timed on scenes that they have not seen before, after one picture that wakes them up, while nothing else
+    renders: of the network, rays, encoding and decoding; of Cycles, all that it does with a scene.
 
     Args:
         checkpoint: see `rfpp.checkpoint.loading.load_network`.
         resolution: pixels.
-        reference: how Cycles renders.
+        reference: how Cycles renders what both are compared with; not by the rival's denoiser, whose errors it would
+            share.
+        rival: Cycles' settings but for the samples.
+        rival_samples: among which `in_the_time` chooses.
         picture: PNG file to write.
         progress: called with (pictures made, pictures in all).
     """
-    renderer, scenes = Renderer.load(checkpoint), [exhibit.scene() for exhibit in exhibits]
-    renderer.render(scenes[-1], resolution)
-    columns: dict[str, list] = {"path-traced": [], "network": [], "error": []}
+    scenes = [exhibit.scene() for exhibit in exhibits]
+    total = len(scenes) * (len(rival_samples) + 2)
+    by_network = _by_network(Renderer.load(checkpoint), scenes, resolution)
+    progress(len(scenes), total)
+    by_rivals: dict[int, list[Traced]] = {}
+    for samples in rival_samples:
+        by_rivals[samples] = list(_by_cycles(scenes, resolution, replace(rival, samples=samples)))
+        progress(len(scenes) * (len(by_rivals) + 1), total)
+    headings = ("Cycles converged", "network", "error of network", "Cycles in the same time", "error of Cycles")
+    columns: dict[str, list[Picture]] = {heading: [] for heading in headings}
     captions = []
-    for number, (exhibit, scene, (truth, seconds)) in enumerate(
-        zip(exhibits, scenes, path_traced(scenes, (resolution, resolution), reference), strict=True)
-    ):
-        fresh = Renderer(renderer.network, renderer.info, renderer.device, renderer.dtype)
-        begin = time.perf_counter()
-        [image], [wanted] = fresh.render(scene, resolution), truth
-        took = time.perf_counter() - begin
+    for number, ([truth], cycles_s) in enumerate(_by_cycles(scenes, resolution, reference)):
+        [image], network_s = by_network[number]
+        samples = in_the_time({count: made[number][1] for count, made in by_rivals.items()}, network_s)
+        [traced], rival_s = by_rivals[samples][number]
         row = {
-            "scene": exhibit.title,
-            "triangles": len(scene.triangles),
-            "objects": scene.triangles.num_objects,
+            "scene": exhibits[number].title,
+            "triangles": len(scenes[number].triangles),
+            "objects": scenes[number].triangles.num_objects,
             "resolution": resolution,
-            "network_s": took,
-            "cycles_s": seconds,
+            "network_s": network_s,
+            "cycles_s": cycles_s,
             "cycles_samples": reference.samples,
-            "log_l1": _log_l1(image, wanted),
-            "flip": float(flip(image, wanted).mean()),
+            **errors(image, truth),
+            "rival_samples": samples,
+            "rival_s": rival_s,
+            **{f"rival_{name}": error for name, error in errors(traced, truth).items()},
         }
-        for column, shown in zip(
-            columns.values(), (tone_mapped(wanted), tone_mapped(image), error_map(image, wanted)), strict=True
-        ):
-            column.append(shown)
-        captions.append(f"{row['scene']}: Cycles {seconds:.1f} s, network {took:.1f} s, FLIP {row['flip']:.3f}")
-        progress(number + 1, len(exhibits))
+        shown = [tone_mapped(truth)]
+        for made in (image, traced):
+            shown += [tone_mapped(made), error_map(made, truth)]
+        for heading, one in zip(headings, shown, strict=True):
+            columns[heading].append(one)
+        captions.append(_caption(row))
+        progress(total - len(scenes) + number + 1, total)
         yield row
     save_png(panel(columns, captions), Path(picture))
 
 
-def _log_l1(image: np.ndarray, reference: np.ndarray) -> float:
-    x, y = (torch.from_numpy(np.ascontiguousarray(a)).permute(2, 0, 1)[None] for a in (image, reference))
-    return float(log_l1(x, y))
+def in_the_time(seconds: Mapping[int, float], limit: float) -> int:
+    """The largest number of samples that takes no longer than the limit; the smallest if all of them do.
+
+    Args:
+        seconds: number of samples → what a picture of them takes.
+        limit: seconds.
+    """
+    return max((samples for samples, took in seconds.items() if took <= limit), default=min(seconds))
+
+
+def _by_network(renderer: Renderer, scenes: Sequence[PackedScene], resolution: int) -> list[Traced]:
+    """The picture of each scene, by a renderer that has seen nothing yet, and its seconds."""
+    renderer.render(scenes[-1], resolution)
+    made = []
+    for scene in scenes:
+        fresh = Renderer(renderer.network, renderer.info, renderer.device, renderer.dtype)
+        begin = time.perf_counter()
+        made.append((fresh.render(scene, resolution), time.perf_counter() - begin))
+    return made
+
+
+def _by_cycles(scenes: Sequence[PackedScene], resolution: int, settings: CyclesSettings) -> Iterator[Traced]:
+    """The picture of each scene, by a process that is awake, and its seconds."""
+    traced = path_traced([scenes[-1], *scenes], (resolution, resolution), settings)
+    next(traced)
+    yield from traced
+
+
+def _caption(row: Row) -> str:
+    return (
+        f"{row['scene']}: Cycles {row['cycles_s']:.1f} s for {row['cycles_samples']} samples; network "
+        f"{row['network_s']:.2f} s, FLIP {row['flip']:.3f}; Cycles {row['rival_s']:.2f} s for "
+        f"{row['rival_samples']} sample{'s' * (row['rival_samples'] != 1)}, FLIP {row['rival_flip']:.3f}"
+    )
