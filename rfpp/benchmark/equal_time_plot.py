@@ -5,22 +5,16 @@ python -m rfpp.benchmark.equal_time_plot data/results/equal_time.csv     writes 
 
 from __future__ import annotations
 
-import argparse
 import csv
-import io
 from collections.abc import Sequence
 from pathlib import Path
-
-import matplotlib
-
-matplotlib.use("Agg")  # files only: no window system is needed
 
 import matplotlib.pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
+from rfpp.benchmark import plotting
 from rfpp.errors import UserError
-from rfpp.files import write_atomically
 
 #: Panel → the column of its seconds, and that of its errors.
 _PANELS = {
@@ -50,10 +44,7 @@ def plot(file: Path) -> Path:
     except (OSError, IndexError, KeyError, ValueError) as error:
         raise UserError(f"{file}: not a table of benchmark=equal_time ({error}): measure it first") from None
     figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=4, fontsize=8)
-    stream = io.BytesIO()
-    figure.savefig(stream, dpi=110)
-    plt.close(figure)
-    return write_atomically(file.with_suffix(".png"), stream.getvalue())
+    return plotting.saved(figure, file)
 
 
 def _draw(panel: Axes, rows: Sequence[dict[str, str]], scenes: Sequence[str], seconds: str, error: str) -> None:
@@ -71,14 +62,9 @@ def _draw(panel: Axes, rows: Sequence[dict[str, str]], scenes: Sequence[str], se
     panel.grid(which="both", alpha=0.2)
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """The command; `arguments` are those of the command line unless given."""
-    parser = argparse.ArgumentParser("python -m rfpp.benchmark.equal_time_plot", description=__doc__.splitlines()[0])
-    parser.add_argument("file", type=Path, help="CSV of launch/benchmark.py benchmark=equal_time")
-    try:
-        print(plot(parser.parse_args(arguments).file))
-    except UserError as error:
-        raise SystemExit(f"error: {error}") from None
+def main(arguments: Sequence[str] | None = None) -> Path:
+    """See `plotting.command`."""
+    return plotting.command("equal_time", __doc__, plot, arguments)
 
 
 if __name__ == "__main__":

@@ -5,20 +5,14 @@ python -m rfpp.benchmark.refining_plot data/results/refining.csv     writes a pi
 
 from __future__ import annotations
 
-import argparse
 import csv
-import io
 from collections.abc import Sequence
 from pathlib import Path
 
-import matplotlib
-
-matplotlib.use("Agg")  # files only: no window system is needed
-
 import matplotlib.pyplot as plt
 
+from rfpp.benchmark import plotting
 from rfpp.errors import UserError
-from rfpp.files import write_atomically
 
 
 def plot(file: Path) -> Path:
@@ -45,20 +39,12 @@ def plot(file: Path) -> Path:
     axes.set_ylim(top=1.02 * unrefined)
     axes.grid(alpha=0.2)
     axes.legend()
-    stream = io.BytesIO()
-    figure.savefig(stream, dpi=110)
-    plt.close(figure)
-    return write_atomically(file.with_suffix(".png"), stream.getvalue())
+    return plotting.saved(figure, file)
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """The command; `arguments` are those of the command line unless given."""
-    parser = argparse.ArgumentParser("python -m rfpp.benchmark.refining_plot", description=__doc__.splitlines()[0])
-    parser.add_argument("file", type=Path, help="CSV of launch/benchmark.py benchmark=refining")
-    try:
-        print(plot(parser.parse_args(arguments).file))
-    except UserError as error:
-        raise SystemExit(f"error: {error}") from None
+def main(arguments: Sequence[str] | None = None) -> Path:
+    """See `plotting.command`."""
+    return plotting.command("refining", __doc__, plot, arguments)
 
 
 if __name__ == "__main__":

@@ -40,10 +40,11 @@ def test_a_row_for_each_validation_of_each_number_of_scenes(rows):
         assert last["log_l1"] < first["log_l1"] < first["unrefined_log_l1"] == last["unrefined_log_l1"]
 
 
-def test_they_are_drawn(rows, tmp_path):
+def test_they_are_drawn(rows, tmp_path, capsys):
     file = write_rows(tmp_path / "refining.csv", rows)
     refining_plot.main([str(file)])
     assert Image.open(tmp_path / "refining.png").size[0] > 400
     (tmp_path / "other.csv").write_text("scene,first_s\n1,2\n")
-    with pytest.raises(SystemExit, match=r"other.csv: not a table of benchmark=refining"):
+    with pytest.raises(SystemExit):
         refining_plot.main([str(tmp_path / "other.csv")])
+    assert "other.csv: not a table of benchmark=refining" in capsys.readouterr().err

@@ -123,7 +123,7 @@ def test_commands_explain_themselves(bare, command, setting):
 
 
 def test_benchmarks_are_there_but_for_plots_and_what_compares_with_others(bare):
-    need_more = {"cost.plot", "equal_time_plot", "refining_plot", "streaming"}
+    need_more = {"cost.plot", "equal_time_plot", "plotting", "refining_plot", "streaming"}
     folder = ROOT / "rfpp" / "benchmark"
     files = [path.relative_to(folder).with_suffix("") for path in folder.rglob("*.py") if path.stem != "__init__"]
     names = sorted({".".join(file.parts) for file in files} - need_more)

@@ -5,14 +5,8 @@ python -m rfpp.benchmark.cost.plot data/results/cost.csv
 
 from __future__ import annotations
 
-import argparse
-import io
 from collections.abc import Sequence
 from pathlib import Path
-
-import matplotlib
-
-matplotlib.use("Agg")  # files only: no window system is needed
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -20,9 +14,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from rfpp.benchmark import plotting
 from rfpp.benchmark.cost.rows import Row, read_rows
 from rfpp.errors import UserError
-from rfpp.files import write_atomically
 
 #: The sweep that is plotted, and the range of triangles in which the exponent is fitted.
 SWEEP = "triangles"
@@ -128,23 +122,18 @@ def _networks(rows: Sequence[Row]) -> list[str]:
     return list(dict.fromkeys(row["network"] for row in rows))
 
 
-def main(arguments: list[str] | None = None) -> Path:
-    """Print the exponents and write the plot beside the table; returns its path."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("csv", type=Path, help="what launch/benchmark.py benchmark=cost has written")
-    path = parser.parse_args(arguments).csv
-    try:
-        rows = swept_rows(path)
-        for name, power in exponents(rows).items():
-            shown = "too few points" if power is None else f"triangles^{power:.2f}"
-            print(f"{name}: view-independent stage from {FITTED[0]:,} to {FITTED[1]:,} triangles: {shown}")
-        stream = io.BytesIO()
-        made = figure(rows)
-        made.savefig(stream, format="png", dpi=120)
-        plt.close(made)
-        return write_atomically(path.with_suffix(".png"), stream.getvalue())
-    except UserError as error:
-        parser.exit(1, f"error: {error}\n")
+def plot(path: Path) -> Path:
+    """Prints the exponents and writes the plot beside the table. Raises UserError naming the file."""
+    rows = swept_rows(path)
+    for name, power in exponents(rows).items():
+        shown = "too few points" if power is None else f"triangles^{power:.2f}"
+        print(f"{name}: view-independent stage from {FITTED[0]:,} to {FITTED[1]:,} triangles: {shown}")
+    return plotting.saved(figure(rows), path)
+
+
+def main(arguments: Sequence[str] | None = None) -> Path:
+    """See `plotting.command`."""
+    return plotting.command("cost", __doc__, plot, arguments)
 
 
 if __name__ == "__main__":
