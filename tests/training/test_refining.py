@@ -74,22 +74,32 @@ class TestRenderedViews:
             views[0]
 
 
-def test_augmented_views_show_the_same_surfaces_in_other_colours_or_mirrored():
+def test_augmented_views_show_the_same_surfaces_in_other_colours_and_the_right_way_round():
+    """Points in front of the camera are seen where they are, and every other value of a pixel comes along."""
     generator = torch.Generator().manual_seed(0)
-    view = {
-        name: torch.rand(channels, 4, 4) for name, channels in [("radiance", 3), ("reference", 3), ("surfaces", 13)]
-    }
-    seen = [augmented(view, generator) for _ in range(20)]
-    mirrored = [not torch.equal(one["surfaces"][6], view["surfaces"][6]) for one in seen]
-    assert 0 < sum(mirrored) < 20
-    for one, flipped in zip(seen, mirrored, strict=True):
-        back = {name: image.flip(-1) if flipped else image for name, image in one.items()}
-        order = [next(j for j in range(3) if torch.equal(back["radiance"][i], view["radiance"][j])) for i in range(3)]
-        assert torch.equal(back["reference"], view["reference"][order])
-        albedo, specular = back["surfaces"][:3], back["surfaces"][3:6]
-        assert torch.equal(albedo, view["surfaces"][:3][order]) and torch.equal(specular, view["surfaces"][3:6][order])
-        across = torch.tensor([-1.0 if flipped else 1.0, 1.0, 1.0])[:, None, None]
-        assert torch.equal(back["surfaces"][7:10], across * view["surfaces"][7:10])
+    column, row = torch.meshgrid(torch.linspace(-0.75, 0.75, 4), torch.linspace(0.75, -0.75, 4), indexing="xy")
+    seen_at = torch.stack([column, row, -torch.ones(4, 4)])  # x to the right, y up, the camera looks along -z
+    position = seen_at * (1 + torch.rand(4, 4))
+    light, surfaces = torch.rand(3, 4, 4), torch.rand(13, 4, 4)
+    surfaces[7:10], surfaces[10:13] = -position / position.norm(dim=0), position
+    view = {"radiance": light, "reference": 2 * light, "surfaces": surfaces}
+    orders, ways = set(), set()
+    for _ in range(50):
+        one = augmented(view, generator)
+        points = one["surfaces"][10:13]
+        torch.testing.assert_close(points / -points[2], seen_at)
+        torch.testing.assert_close(one["surfaces"][7:10], -points / points.norm(dim=0))
+        # each pixel of the view is known by its depth
+        place = [(one["surfaces"][12] == depth).flatten().nonzero().item() for depth in position[2].flatten()]
+        back = {name: image.flatten(1)[:, place].view(-1, 4, 4) for name, image in one.items()}
+        order = [next(j for j in range(3) if torch.equal(back["radiance"][i], light[j])) for i in range(3)]
+        assert torch.equal(back["reference"], 2 * light[order])
+        assert torch.equal(back["surfaces"][:3], surfaces[:3][order])
+        assert torch.equal(back["surfaces"][3:6], surfaces[3:6][order])
+        assert torch.equal(back["surfaces"][6], surfaces[6])
+        orders.add(tuple(order))
+        ways.add(tuple(place))
+    assert (len(orders), len(ways)) == (6, 2)  # as it is and mirrored
 
 
 def test_the_command_refines_a_network_and_leaves_the_rest_of_it_as_it_was(kept, tmp_path, capsys):
