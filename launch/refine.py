@@ -14,6 +14,7 @@ import rfpp.interrupts  # noqa: F401 (first: what follows takes seconds to impor
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from statistics import mean
 
 import numpy as np
 from lightning.pytorch.loggers import CSVLogger
@@ -33,6 +34,8 @@ from rfpp.training.tracking.description import code_version
 
 #: What the method of a refined network is called besides.
 _REFINED = ", refined"
+#: From what share on an error that grew again is worth a word.
+_WORSE = 0.01
 
 
 @entry_point("refine")
@@ -48,6 +51,8 @@ def main(cfg: DictConfig) -> Path:
     callbacks = [TrainingProgress(), TrainingLines(60.0)]
     module = fitted(cfg, views, validation, CSVLogger(cfg.run_dir, name="", version=""), callbacks)
     console.print(_gain(module.validations[-1], [file for file, _ in validation.views]))
+    if advice := _advice(module.validations):
+        console.print(advice)
 
     network, info = load_network(cfg.checkpoint)
     network.refinement = module.refinement
@@ -69,6 +74,18 @@ def _gain(last: Validation, scenes: Sequence[Path]) -> str:
     share = (now - before) / before.mean()
     interval = 1.96 * share.std(ddof=1) / np.sqrt(len(share))
     return f"Validation log-L1 {before.mean():.5f} → {now.mean():.5f} ({share.mean():+.1%} ± {interval:.1%})"
+
+
+def _advice(validations: Sequence[Validation]) -> str | None:
+    """What to do where training went on for so long that the training images were learned by heart."""
+    best = min(validations, key=lambda at: mean(at.refined))
+    least, last = mean(best.refined), mean(validations[-1].refined)
+    if least > (1 - _WORSE) * last:
+        return None
+    return (
+        f"It was better after {best.step} steps ({least:.5f}), then learned its images by heart: "
+        f"refining.steps={best.step} stops there; more scenes help more"
+    )
 
 
 if __name__ == "__main__":

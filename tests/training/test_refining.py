@@ -11,6 +11,7 @@ from rfpp.checkpoint.loading import load_network
 from rfpp.commands import CONFIG_DIR
 from rfpp.errors import UserError
 from rfpp.shards.dataset import ShardSplit
+from rfpp.training.refining.module import Validation
 from rfpp.training.refining.rendered_views import RenderedViews, augmented
 
 LINEAR = "experiment=quickstart"
@@ -124,3 +125,14 @@ def test_the_command_refines_a_network_and_leaves_the_rest_of_it_as_it_was(kept,
     assert info.method.endswith(", refined")
     assert "60 steps on 8 images of" in (folder / "README.md").read_text()
     assert (tmp_path / "run" / "metrics.csv").is_file()
+
+
+def test_what_is_learned_by_heart_is_told():
+    from launch.refine import _advice
+
+    def validations(*errors):
+        return [Validation(500 * n, 1.0 * n, [e, e + 0.002], [0.004, 0.006]) for n, e in enumerate(errors, 1)]
+
+    assert _advice(validations(0.004, 0.003, 0.0030001)) is None
+    said = _advice(validations(0.004, 0.003, 0.0035))
+    assert "after 1000 steps (0.00400)" in said and "refining.steps=1000" in said
