@@ -26,7 +26,7 @@ from rich.console import Console
 
 from rfpp.commands import entry_point
 from rfpp.errors import ShardError, UserError
-from rfpp.imaging.panels import save_png
+from rfpp.imaging.panels import save_picture
 from rfpp.progress import counting
 from rfpp.scene.sampling.objects.library import INDEX, Library
 from rfpp.scene.sampling.objects.library_building import prepare
@@ -168,7 +168,7 @@ def _show(cfg: DictConfig, console: Console) -> SceneSample:
 
 
 def _save_panel(sample: SceneSample, cfg: DictConfig, console: Console) -> SceneSample:
-    console.print(f"Written: {save_png(sample_panel(sample), Path(cfg.output) / f'{sample.key}.png')}")
+    console.print(f"Written: {save_picture(sample_panel(sample), Path(cfg.output) / f'{sample.key}.png')}")
     return sample
 
 
@@ -187,7 +187,7 @@ def _preview(cfg: DictConfig, console: Console) -> Path:
             rngs = (np.random.default_rng([cfg.data.seed, index, stream]) for stream in range(2))
             scenes.append(family.sample(*rngs, held_out=False))
             show(index + 1, cfg.preview)
-    path = save_png(contact_sheet(scenes, 256), Path(cfg.output) / f"{cfg.family.name}_preview.png")
+    path = save_picture(contact_sheet(scenes, 256), Path(cfg.output) / f"{cfg.family.name}_preview.png")
     console.print(f"Written: {path}")
     return path
 

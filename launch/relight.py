@@ -25,7 +25,7 @@ from rfpp.commands import CONFIG_DIR, entry_point, required
 from rfpp.errors import UserError
 from rfpp.files import as_file_name
 from rfpp.imaging.decoding import read_radiance
-from rfpp.imaging.panels import error_map, panel, save_png
+from rfpp.imaging.panels import error_map, panel, save_picture
 from rfpp.imaging.tone_maps import ToneMap
 from rfpp.inference.motion.frames import with_cameras
 from rfpp.inference.relighting import Images, SolvedLights, solve_lights, with_factors
@@ -66,7 +66,7 @@ def main(cfg: DictConfig) -> Path:
     folder = Path(cfg.output)
     for view, image in enumerate(solved.images):
         write_still(image, folder / f"{stem}_relit_{view}.exr", tone_map)
-    sheet = save_png(_sheet(sum(layers.values()), target, solved, tone_map), folder / f"{stem}_relit.png")
+    sheet = save_picture(_sheet(sum(layers.values()), target, solved, tone_map), folder / f"{stem}_relit.png")
     relit = with_factors(scene, solved.factors)
     written = save_scene(relit, folder / f"{stem}_relit.{'json' if fits_json(relit) else 'h5'}")
     console.print(f"Difference from the target: {solved.before:.1%} before, {solved.after:.1%} with these lights")

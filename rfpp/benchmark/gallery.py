@@ -9,7 +9,7 @@ from pathlib import Path
 
 from rfpp.benchmark.equal_time import errors
 from rfpp.benchmark.exhibits import SampledScene, SceneFile
-from rfpp.imaging.panels import Picture, error_map, panel, save_png, tone_mapped
+from rfpp.imaging.panels import Picture, error_map, panel, save_picture, tone_mapped
 from rfpp.inference.references import Traced, path_traced
 from rfpp.inference.renderer import Renderer
 from rfpp.reference.cycles import CyclesSettings
@@ -40,7 +40,7 @@ def measure(
             share.
         rival: Cycles' settings but for the samples.
         rival_samples: among which `in_the_time` chooses.
-        picture: PNG file to write.
+        picture: PNG or JPEG file to write.
         progress: called with (pictures made, pictures in all).
     """
     scenes = [exhibit.scene() for exhibit in exhibits]
@@ -79,7 +79,7 @@ def measure(
         captions.append(_caption(row))
         progress(total - len(scenes) + number + 1, total)
         yield row
-    save_png(panel(columns, captions), Path(picture))
+    save_picture(panel(columns, captions), Path(picture))
 
 
 def in_the_time(seconds: Mapping[int, float], limit: float) -> int:

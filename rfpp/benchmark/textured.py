@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from rfpp.benchmark.exhibits import SceneFile
-from rfpp.imaging.panels import save_png
+from rfpp.imaging.panels import save_picture
 from rfpp.scene.io.image_texture import linear
 from rfpp.scene.io.loading import load_scene
 from rfpp.scene.packed import PackedScene, pack
@@ -67,7 +67,7 @@ def write_gltf(scene: PackedScene, pixels: int | None, path: Path) -> Path:
     if pixels is None:
         surface = {"baseColorFactor": [*linear(shown).mean(axis=(0, 1)).tolist(), 1.0]}
     else:
-        save_png(shown, path.with_suffix(".png"))
+        save_picture(shown, path.with_suffix(".png"))
     nodes, meshes, materials = Entries(), Entries(), Entries()
     for number, name in enumerate(triangles.object_names):
         own = slice(*triangles.object_offsets[number : number + 2])

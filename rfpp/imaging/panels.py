@@ -1,4 +1,4 @@
-"""Pictures to look at: 8-bit sRGB, false colours, labelled sheets and PNG files."""
+"""Pictures to look at: 8-bit sRGB, false colours, labelled sheets and files of them."""
 
 from __future__ import annotations
 
@@ -27,6 +27,7 @@ _DIVERGING = np.array([[33, 102, 172], [247, 247, 247], [178, 24, 43]])
 _MIN_TILE = 160  # pixels; smaller images are enlarged by whole factors, so that their pixels stay visible
 _GAP, _LINE, _FONT_SIZE = 4, 18, 12
 _PAPER, _INK = (255, 255, 255), (40, 40, 40)
+_JPEG_QUALITY = 90
 
 Picture = UInt8[np.ndarray, "_ _ 3"]
 
@@ -93,11 +94,17 @@ def contact_sheet(pictures: Sequence[Picture], captions: Sequence[str]) -> UInt8
     return _sheet([pictures[i : i + wide] for i in starts], [], [captions[i : i + wide] for i in starts])
 
 
-def save_png(picture: Picture, path: Path | str) -> Path:
-    """Write a PNG file atomically, creating its folder; returns the path. Raises UserError (full disk)."""
-    stream = io.BytesIO()
-    Image.fromarray(picture).save(stream, format="png")
-    return write_atomically(Path(path), stream.getvalue())
+def save_picture(picture: Picture, path: Path | str) -> Path:
+    """Write a file atomically, creating its folder: PNG, or JPEG where its name ends in .jpg. Returns the path.
+
+    Raises UserError: it cannot be written (full disk).
+    """
+    path, stream = Path(path), io.BytesIO()
+    if path.suffix == ".jpg":
+        Image.fromarray(picture).save(stream, format="jpeg", quality=_JPEG_QUALITY)
+    else:
+        Image.fromarray(picture).save(stream, format="png")
+    return write_atomically(path, stream.getvalue())
 
 
 def _sheet(

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from rfpp.imaging.exr import compact, write_exr
-from rfpp.imaging.panels import error_map, false_colours, panel, save_png
+from rfpp.imaging.panels import error_map, false_colours, panel, save_picture
 from rfpp.imaging.tone_maps import ToneMap
 from rfpp.metrics.flip import flip
 
@@ -23,7 +23,7 @@ def write_still(image: Image, target: Path, tone_map: ToneMap, layers: Mapping[s
         UserError: a file cannot be written.
     """
     write_exr(target, {"RGB": compact(image), **(layers or {})})
-    save_png(tone_map(image), target.with_suffix(".png"))
+    save_picture(tone_map(image), target.with_suffix(".png"))
 
 
 def write_comparison(
@@ -47,5 +47,5 @@ def write_comparison(
     }
     for name, other in (others or {}).items():
         columns |= {name: [tone_map(other)], f"error of {name}": [error_map(other, reference)]}
-    save_png(panel(columns), target.with_name(f"{target.stem}_comparison.png"))
+    save_picture(panel(columns), target.with_name(f"{target.stem}_comparison.png"))
     return float(seen.mean())

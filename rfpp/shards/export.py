@@ -16,7 +16,7 @@ from rfpp.errors import SceneError, UserError
 from rfpp.gbuffer.direct_light import direct_radiance
 from rfpp.gbuffer.first_hit import channel, object_ids
 from rfpp.imaging.exr import write_exr
-from rfpp.imaging.panels import save_png, tone_mapped
+from rfpp.imaging.panels import save_picture, tone_mapped
 from rfpp.scene.io.renderformer_h5 import save_h5
 from rfpp.scene.io.renderformer_json import save_json
 from rfpp.scene.mesh import Mesh
@@ -46,7 +46,7 @@ def export_renderformer(sample: SceneSample, folder: Path) -> list[Path]:
     """
     scene = save_json(as_scene(sample), folder / f"{sample.key}.json")
     pictures = [
-        save_png(tone_mapped(image), folder / f"{sample.key}.view{view}.png")
+        save_picture(tone_mapped(image), folder / f"{sample.key}.view{view}.png")
         for view, image in enumerate(sample.images)
     ]
     return [scene, *export_exr(sample, folder), *pictures]

@@ -3,7 +3,15 @@ import pytest
 from PIL import Image
 
 from rfpp.errors import UserError
-from rfpp.imaging.panels import contact_sheet, distinct_colours, error_map, false_colours, panel, save_png, tone_mapped
+from rfpp.imaging.panels import (
+    contact_sheet,
+    distinct_colours,
+    error_map,
+    false_colours,
+    panel,
+    save_picture,
+    tone_mapped,
+)
 
 
 def test_tone_mapping_shows_mid_grey_and_clips_to_white() -> None:
@@ -76,12 +84,19 @@ def test_columns_of_different_length_are_refused() -> None:
 
 def test_png_round_trip_makes_its_folder(tmp_path) -> None:
     picture = np.random.default_rng(0).integers(0, 256, (5, 7, 3), dtype=np.uint8)
-    path = save_png(picture, tmp_path / "a" / "b.png")
+    path = save_picture(picture, tmp_path / "a" / "b.png")
     assert np.array_equal(np.asarray(Image.open(path)), picture)
     assert [f.name for f in path.parent.iterdir()] == ["b.png"]
+
+
+def test_jpeg_where_the_name_says_so(tmp_path) -> None:
+    picture = np.full((16, 16, 3), (200, 120, 40), np.uint8)
+    with Image.open(save_picture(picture, tmp_path / "a.jpg")) as written:
+        assert written.format == "JPEG"
+        assert np.abs(np.asarray(written).astype(int) - picture).max() <= 3
 
 
 def test_an_unwritable_place_is_named(tmp_path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(UserError, match=r"picture\.png"):
-        save_png(np.zeros((2, 2, 3), np.uint8), tmp_path / "file" / "picture.png")
+        save_picture(np.zeros((2, 2, 3), np.uint8), tmp_path / "file" / "picture.png")

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from rfpp.evaluation.measuring.evaluate import RenderedScene
-from rfpp.imaging.panels import Picture, error_map, panel, save_png, tone_mapped
+from rfpp.imaging.panels import Picture, error_map, panel, save_picture, tone_mapped
 from rfpp.metrics.baselines import DirectLightAlone
 
 _COLUMNS = ("reference", "prediction", "error", "albedo")
@@ -38,7 +38,7 @@ def save_scene_panel(scenes: Mapping[str, Mapping[str, Picture]], path: Path) ->
         UserError: the file cannot be written.
     """
     columns = {name: [pictures[name] for pictures in scenes.values()] for name in _COLUMNS}
-    return save_png(panel(columns, captions=list(scenes)), path)
+    return save_picture(panel(columns, captions=list(scenes)), path)
 
 
 def _image(views: Float[Tensor, "v 3 h w"]) -> Float[np.ndarray, "h w 3"]:

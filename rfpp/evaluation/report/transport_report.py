@@ -14,7 +14,7 @@ from rfpp.checkpoint.loading import CheckpointInfo
 from rfpp.evaluation.measuring.transport_convergence import TransportTrace
 from rfpp.evaluation.report.page import page
 from rfpp.files import write_atomically
-from rfpp.imaging.panels import error_map, panel, save_png, tone_mapped
+from rfpp.imaging.panels import error_map, panel, save_picture, tone_mapped
 
 _CURVES = {
     "residual": "consistency residual\nmean |F_s − T(F_s + F_e)|²",
@@ -78,4 +78,4 @@ def _write_images(trace: TransportTrace, folder: Path) -> Path:
         for k, images in enumerate(trace.radiance):
             columns[f"k = {k}"] += [tone_mapped(images[row]), error_map(images[row], reference)]
         columns["reference"] += [tone_mapped(reference), np.full_like(tone_mapped(reference), 255)]
-    return save_png(panel(columns), folder / "images.png")
+    return save_picture(panel(columns), folder / "images.png")

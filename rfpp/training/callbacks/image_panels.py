@@ -11,7 +11,7 @@ import torch
 from torch import Tensor, distributed
 
 from rfpp.batch import RaggedBatch
-from rfpp.imaging.panels import Picture, panel, save_png, signed_error_map, tone_mapped
+from rfpp.imaging.panels import Picture, panel, save_picture, signed_error_map, tone_mapped
 from rfpp.imaging.radiance import log_decode
 from rfpp.training.tracking.run_logger import RunLogger
 
@@ -59,7 +59,7 @@ class ImagePanels(L.Callback):
             return
         for sheet in rows[0]:
             columns = {name: [row[sheet][name] for row in rows] for name in rows[0][sheet]}
-            path = save_png(panel(columns), self.folder / f"{sheet}-{trainer.global_step:06d}.png")
+            path = save_picture(panel(columns), self.folder / f"{sheet}-{trainer.global_step:06d}.png")
             for logger in trainer.loggers:
                 if isinstance(logger, RunLogger):
                     logger.log_file(path, "panels")
