@@ -12,7 +12,7 @@ from PIL import Image
 from small_data import REFERENCE
 
 from rfpp.benchmark.equal_time import FilmSettings, dimmed, measure, orbit
-from rfpp.benchmark.equal_time_plot import main, plot
+from rfpp.benchmark.equal_time_plot import main, plot, times_at_equal_error
 from rfpp.benchmark.exhibits import SceneFile
 from rfpp.errors import UserError
 from rfpp.inference.renderer import Renderer
@@ -98,3 +98,18 @@ def test_another_table_is_refused_in_a_line(tmp_path, capsys):
     with pytest.raises(SystemExit):
         main([str(file)])
     assert capsys.readouterr().err.startswith(f"error: {file}: not a table")
+
+
+def test_time_at_equal_error_lies_between_numbers_of_samples():
+    def row(method, samples, seconds, error):
+        return {"scene": "a", "method": method, "samples": str(samples), "view_s": str(seconds), "flip": str(error)}
+
+    cycles = [row("Cycles 1", 1, 1.0, 0.4), row("Cycles 4", 4, 4.0, 0.2), row("Cycles 16", 16, 16.0, 0.1)]
+    for seconds, error, expected in [
+        (1.0, 0.2, 1 / 4),
+        (1.0, 0.4 * 2**-0.5, 1 / 2),  # half of the way, in logarithms
+        (8.0, 0.05, 1 / 2),  # better than the most samples
+        (2.0, 0.8, 2.0),  # worse than the fewest
+    ]:
+        rows = [*cycles, row("rfpp", 0, seconds, error), row("other", 0, 9.0, 0.3)]
+        assert times_at_equal_error(rows, "rfpp", "view_s", "flip") == pytest.approx([expected])
