@@ -1,5 +1,6 @@
 """launch/generate.py as a user runs it."""
 
+import contextlib
 import os
 import signal
 import subprocess
@@ -64,7 +65,11 @@ def test_generate_then_nothing_to_do_then_refused(tmp_path):
 
 def workers(command: psutil.Process) -> list[psutil.Process]:
     """Those that import what they need, too."""
-    return [child for child in command.children() if "spawn_main" in " ".join(child.cmdline())]
+    found = []
+    for child in command.children():
+        with contextlib.suppress(psutil.NoSuchProcess):  # git, which has ended meanwhile
+            found += [child] * ("spawn_main" in " ".join(child.cmdline()))
+    return found
 
 
 @requires_blender
