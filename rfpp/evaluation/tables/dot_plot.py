@@ -17,7 +17,7 @@ from rfpp.metrics.image import METRICS
 PLOTTED = ("log_l1", "l1_direct", "l1_indirect", "lpips", "gradient")
 
 _TRAINED, _BASELINE = "tab:blue", "0.6"
-_PANEL_WIDTH, _LINE_HEIGHT, _HEADING_HEIGHT = 2.3, 0.24, 0.9  # inches
+_PANEL_WIDTH, _LINE_HEIGHT, _HEADING_HEIGHT, _LETTER_WIDTH = 2.3, 0.24, 0.9, 0.09  # inches
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,8 @@ def figure(table: ResultTable) -> Figure | None:
         return None
     split = list(table.groups)[-1]
     heights = [_HEADING_HEIGHT + _LINE_HEIGHT * len(found) for _, found in blocks]
-    made = Figure(figsize=(2 + _PANEL_WIDTH * len(metrics), sum(heights)), dpi=120, layout="constrained")
+    labels = _LETTER_WIDTH * max(len(line.label) for _, found in blocks for line in found)
+    made = Figure(figsize=(labels + _PANEL_WIDTH * len(metrics), sum(heights)), dpi=120, layout="constrained")
     grid = made.subplots(len(blocks), len(metrics), squeeze=False, height_ratios=heights)
     for (heading, found), panels in zip(blocks, grid, strict=True):
         for metric, axes in zip(metrics, panels, strict=True):

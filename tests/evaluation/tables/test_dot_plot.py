@@ -40,6 +40,13 @@ def test_every_seed_is_a_dot_and_the_interval_a_bar(table):
     assert bottom > 3 and top < 0  # downwards, nothing cut off
 
 
+def test_long_names_leave_the_dots_their_room(evaluation):
+    made = figure(other_table([evaluation(data="toys", method="RenderFormer++, " + 3 * "known light, ")], []))
+    made.draw_without_rendering()
+    [axes] = made.axes
+    assert axes.get_window_extent().width > 1.5 * made.dpi  # inches
+
+
 def test_a_table_without_runs_has_no_picture(evaluation):
     assert figure(other_table([], [])) is None
     assert figure(paper_table(TABLE_1, [])) is None
