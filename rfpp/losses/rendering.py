@@ -14,13 +14,12 @@ from rfpp.segments import Segments
 
 
 class RenderingLoss(nn.Module):
-    """λ₁ · L1 + λ_lpips · LPIPS + λ_cons · Σ_k consistency_k + λ_div · divergence.
+    """λ₁ · L1 + λ_lpips · LPIPS + λ_cons · Σ_k consistency_k.
 
     Args:
         l1_weight, lpips_weight, consistency_weight: the paper's 1, 0.05 and 0.1; a weight of 0 leaves LPIPS out.
         lpips_images_per_step, lpips_trunk_path: see PerceptualLoss.
         consistency_stop_gradient: see TransportConsistency.
-        divergence_weight: not in the paper; of couplings between cells from what rays see.
     """
 
     def __init__(
@@ -31,11 +30,9 @@ class RenderingLoss(nn.Module):
         lpips_images_per_step: int | None,
         lpips_trunk_path: Path | str | None,
         consistency_stop_gradient: bool,
-        divergence_weight: float,
     ):
         super().__init__()
         self.l1_weight, self.lpips_weight, self.consistency_weight = l1_weight, lpips_weight, consistency_weight
-        self.divergence_weight = divergence_weight
         self.perceptual = PerceptualLoss(lpips_images_per_step, lpips_trunk_path) if lpips_weight > 0 else None
         self.consistency = TransportConsistency(consistency_stop_gradient)
 
@@ -45,12 +42,11 @@ class RenderingLoss(nn.Module):
         transport_states: tuple[Tensor, ...],
         target: Float[Tensor, "b v 3 h w"],
         scenes: Segments | None = None,
-        divergence: Float[Tensor, ""] | None = None,
     ) -> dict[str, Tensor]:
         """Every term, unweighted, under its own name; `loss` is their weighted sum.
 
         Names: loss, l1, lpips (where weighted), consistency and consistency_1 … consistency_K (where there are
-        transport states), divergence (where it is given). `target` is linear radiance; `scenes`: see
+        transport states). `target` is linear radiance; `scenes`: see
         TransportConsistency.
         """
         terms = {"l1": log_l1(log_radiance, target)}
@@ -63,8 +59,4 @@ class RenderingLoss(nn.Module):
             terms["consistency"] = residuals.sum()
             terms |= {f"consistency_{k}": r for k, r in enumerate(residuals, start=1)}
             loss = loss + self.consistency_weight * terms["consistency"]
-        if divergence is not None:
-            terms["divergence"] = divergence
-            if self.divergence_weight > 0:
-                loss = loss + self.divergence_weight * divergence
         return {"loss": loss, **terms}

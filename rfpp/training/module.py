@@ -57,7 +57,6 @@ class RenderingModule(L.LightningModule):
             rendering.transport_states,
             batch.image,
             rendering.state_segments,
-            rendering.divergence,
         )
         named_elsewhere = ("loss", "consistency_")  # the second by ConsistencyMonitor
         scalars = {f"train/{k}": v.detach() for k, v in terms.items() if not k.startswith(named_elsewhere)}
