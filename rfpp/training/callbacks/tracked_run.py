@@ -11,33 +11,30 @@ import torch
 
 from rfpp.checkpoint.loading import CHECKPOINT_KEY
 from rfpp.training.stopping import StoppedError
+from rfpp.training.tracking.registry import CHECKPOINT, FOLDER
 from rfpp.training.tracking.run_logger import RunLogger
 
 
 class TrackedRun(L.Callback):
     """Flushes the journal before each checkpoint, and registers the best checkpoint when training is complete.
 
-    A run that goes on from a checkpoint logs the steps after it, so those before it must be safe by then, this very
-    step's too.
+    A resumed run logs only the steps after its checkpoint, so the records of earlier steps must be on disk.
 
     Args:
-        model_name: in MLflow's model registry; None registers nothing.
+        model_name: Name in MLflow's model registry; None: do not register.
     """
 
     def __init__(self, model_name: str | None):
         self.model_name = model_name
 
     def on_save_checkpoint(self, trainer: L.Trainer, module: L.LightningModule, checkpoint: dict[str, Any]) -> None:
-        connector = trainer._logger_connector  # Lightning logs a step after its callbacks, among which are we
-        if trainer.training and connector._first_loop_iter is not None:
-            connector.update_train_step_metrics()
         for logger in _loggers(trainer):
             logger.sync()
 
     def on_exception(self, trainer: L.Trainer, module: L.LightningModule, exception: BaseException) -> None:
         if isinstance(exception, StoppedError):
             for logger in _loggers(trainer):
-                logger.will_go_on()
+                logger.mark_stopped()
 
     def on_fit_end(self, trainer: L.Trainer, module: L.LightningModule) -> None:
         best = trainer.checkpoint_callback and trainer.checkpoint_callback.best_model_path
@@ -45,12 +42,14 @@ class TrackedRun(L.Callback):
         if not (trainer.is_global_zero and complete and best and self.model_name):
             return
         for logger in _loggers(trainer):
-            logger.register_model(self.model_name, without_training_state(Path(best), logger.run_dir / "model.ckpt"))
+            file = strip_training_state(Path(best), logger.run_dir / FOLDER / CHECKPOINT)
+            logger.register_model(self.model_name, file)
 
 
-def without_training_state(checkpoint: Path, target: Path) -> Path:
-    """Write only weights and model description, a third of the size; returns `target`."""
+def strip_training_state(checkpoint: Path, target: Path) -> Path:
+    """Write only weights and model description, a third of the size; return `target`."""
     content = torch.load(checkpoint, map_location="cpu", weights_only=True)
+    target.parent.mkdir(exist_ok=True)
     temporary = target.with_suffix(".tmp")
     torch.save({name: content[name] for name in (CHECKPOINT_KEY, "state_dict")}, temporary)
     temporary.replace(target)
