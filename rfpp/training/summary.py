@@ -13,7 +13,7 @@ from rfpp.metrics.image import METRICS
 from rfpp.training.datamodule import SceneDataModule
 from rfpp.training.plan import TrainingPlan
 from rfpp.training.run import parameter_counts
-from rfpp.training.tracking.journal import JOURNAL, read_records
+from rfpp.training.tracking.journal import JOURNAL, records
 from rfpp.training.tracking.run_logger import RunLogger
 
 
@@ -28,7 +28,8 @@ def start_summary(
     """Summarize network, data, batches, devices, precision and output folders."""
     counts = parameter_counts(network)
     stages = ", ".join(f"{name} {count / 1e6:.2f}M" for name, count in counts.items() if name != "total")
-    data, scenes, views = datamodule.manifest, datamodule.scenes_per_step, datamodule.views_per_scene
+    data = datamodule.manifest
+    scenes, views = datamodule.batching.scenes_per_step, datamodule.batching.views_per_scene
     share = scenes // plan.ranks
     return (
         f"Network  {counts['total'] / 1e6:.1f}M parameters: {stages}\n"
@@ -52,7 +53,7 @@ def end_summary(logger: RunLogger, checkpoint: Path, data_root: str, monitor: st
     """
     validations = [
         record
-        for record, _ in read_records(logger.run_dir / JOURNAL)
+        for record, _ in records(logger.run_dir / JOURNAL)
         if record["kind"] == "metrics" and monitor in record["values"]
     ]
     lines = []

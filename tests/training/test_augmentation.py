@@ -1,17 +1,14 @@
-"""Augmentation changes scenes and images together: G-buffers, images and materials still belong to each other."""
+"""Augmentation changes scenes, G-buffers and images consistently."""
 
 import numpy as np
 import pytest
 from small_data import make
-from two_lights import TwoLights, invented_lights
 
-from rfpp.errors import ShardError, UserError
 from rfpp.gbuffer.first_hit import first_hit, stack_channels
 from rfpp.scene.triangles import DIFFUSE, EMISSION, SPECULAR
 from rfpp.shards.dataset import ShardSplit
 from rfpp.shards.views import AllViews
-from rfpp.training.augmentation import ColourPermutation, LightMixing, RigidAugmentation, moved
-from rfpp.training.views import TrainingViews
+from rfpp.training.augmentation import ColourPermutation, RigidMotion, moved
 
 CHANNELS = ("albedo", "normal", "position")
 
@@ -25,7 +22,7 @@ def split(tmp_path_factory):
 def test_moving_scene_and_camera_leaves_gbuffers_and_images(split):
     views = AllViews(split, CHANNELS)[0]
     rng = np.random.default_rng(0)
-    turned = RigidAugmentation(rotation=1.0, translation=0.25)(views, rng)
+    turned = RigidMotion(rotation=1.0, translation=0.25)(views, CHANNELS, rng)
     assert not np.allclose(turned.triangles.positions, views.triangles.positions, atol=0.1)
     np.testing.assert_array_equal(turned.image, views.image)
     for v in range(2):
@@ -38,7 +35,7 @@ def test_moving_scene_and_camera_leaves_gbuffers_and_images(split):
 
 def test_a_move_is_rigid_and_right_handed(split):
     views = AllViews(split, CHANNELS)[0]
-    turned = RigidAugmentation(rotation=2.0, translation=1.0)(views, np.random.default_rng(1))
+    turned = RigidMotion(rotation=2.0, translation=1.0)(views, CHANNELS, np.random.default_rng(1))
     before, after = (np.linalg.norm(np.diff(v.triangles.positions, axis=1), axis=-1) for v in (views, turned))
     np.testing.assert_allclose(after, before, rtol=1e-4, atol=1e-6)
     np.testing.assert_allclose(np.linalg.det(turned.c2w[:, :3, :3]), 1, rtol=1e-5)
@@ -46,9 +43,9 @@ def test_a_move_is_rigid_and_right_handed(split):
 
 def test_augmentation_has_the_documented_spread(split):
     views = AllViews(split, CHANNELS)[0]
-    augmentation = RigidAugmentation(rotation=0.0, translation=0.25)
+    motion = RigidMotion(rotation=0.0, translation=0.25)
     rng = np.random.default_rng(2)
-    shifts = np.array([augmentation(views, rng).c2w[0, :3, 3] - views.c2w[0, :3, 3] for _ in range(300)])
+    shifts = np.array([motion(views, CHANNELS, rng).c2w[0, :3, 3] - views.c2w[0, :3, 3] for _ in range(300)])
     np.testing.assert_allclose(shifts.std(axis=0), 0.25, rtol=0.15)
     np.testing.assert_allclose(shifts.mean(axis=0), 0, atol=0.05)
 
@@ -71,42 +68,5 @@ def test_colour_channels_trade_places_everywhere_at_once(split):
             before, after = (v.triangles.material[:, columns] for v in (views, swapped))
             np.testing.assert_array_equal(after, before[:, order])
         np.testing.assert_array_equal(swapped.gbuffer[:, :3], views.gbuffer[:, order])
-        np.testing.assert_array_equal(swapped.object_light, views.object_light[:, order])
         np.testing.assert_array_equal(swapped.gbuffer[:, 3:], views.gbuffer[:, 3:])
         np.testing.assert_array_equal(swapped.triangles.material[:, 6], views.triangles.material[:, 6])
-
-
-@pytest.fixture(scope="module")
-def by_light(tmp_path_factory):
-    root = tmp_path_factory.mktemp("lights") / "apart"
-    make(root, TwoLights(), render_lights=invented_lights, splits={"train": 2}, by_light=True)
-    return ShardSplit(root, "train")
-
-
-def test_lights_are_mixed_draw_by_draw(by_light):
-    lit = (*CHANNELS, "direct_diffuse")
-    mixing = LightMixing(power=4.0, saturation=0.5)
-    draw, again = (TrainingViews(by_light, lit, 2, None, None, 0, mixing)[0, 1] for _ in range(2))
-    plain = TrainingViews(by_light, lit, 2, None, None, 0)[0, 1]
-    np.testing.assert_array_equal(draw.image, again.image)
-    np.testing.assert_array_equal(draw.c2w, plain.c2w)
-    factors = draw.triangles.material[-2:, EMISSION] / plain.triangles.material[-2:, EMISSION]
-    assert not np.allclose(factors[0], factors[1], rtol=0.05)
-    for factor in factors:
-        assert (factor > 0.5 / 4).all() and (factor < 4).all() and factor.min() >= 0.5 * factor.max()
-    np.testing.assert_array_equal(draw.gbuffer[:, :9], plain.gbuffer[:, :9])
-    brighter = draw.gbuffer[:, 9:].sum((0, 2, 3)) / plain.gbuffer[:, 9:].sum((0, 2, 3))
-    assert (brighter >= np.min(factors, axis=0) * 0.99).all() and (brighter <= np.max(factors, axis=0) * 1.01).all()
-    others = TrainingViews(by_light, lit, 2, None, None, 0, mixing)
-    assert not np.allclose(draw.image.mean(), others[1, 1].image.mean(), rtol=1e-3)
-
-
-def test_without_lights_apart_they_cannot_be_mixed(split):
-    with pytest.raises(ShardError, match="light_augmentation=null"):
-        TrainingViews(split, CHANNELS, 1, None, None, 0, LightMixing(power=2.0, saturation=0.0))[0, 0]
-
-
-@pytest.mark.parametrize(("power", "saturation"), [(0.5, 0.0), (2.0, 1.0), (2.0, -0.1)])
-def test_mixing_refuses_what_is_no_range(power, saturation):
-    with pytest.raises(UserError, match="light_augmentation"):
-        LightMixing(power, saturation)

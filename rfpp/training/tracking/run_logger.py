@@ -14,7 +14,6 @@ from lightning.pytorch.loggers.logger import Logger
 from lightning.pytorch.utilities import rank_zero_only
 
 from rfpp.files import write_atomically
-from rfpp.shards.joined import JoinedManifest
 from rfpp.shards.manifest import Manifest
 from rfpp.training.tracking.description import code_changes, flattened, machine_tags
 from rfpp.training.tracking.journal import JOURNAL, Journal, Record, records
@@ -97,9 +96,7 @@ class RunLogger(Logger):
         self._journal.append("model", name=name, path=self._relative(checkpoint))
 
     @rank_zero_only
-    def describe(
-        self, config: dict[str, Any], config_file: Path, manifest: Manifest | JoinedManifest, tags: Mapping[str, str]
-    ) -> None:
+    def describe(self, config: dict[str, Any], config_file: Path, manifest: Manifest, tags: Mapping[str, str]) -> None:
         """Log config (as parameters and as a file), data set, code, machine, and the number of restarts."""
         self.log_hyperparams(config)
         tags = {**tags, **machine_tags(), "resumed": str(self._journal.starts - 1)}
