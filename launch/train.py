@@ -40,8 +40,8 @@ from rfpp.training.tracking import code_version
 
 #: Warnings of PyTorch and Lightning about choices that are made on purpose.
 EXPECTED_WARNINGS = (
-    "does not have many workers", "isn't picklable", "LeafSpec", "dataloader is not resumable", "exists and is not empty",
-    "`srun` command is available", "Grad strides do not match",
+    "does not have many workers", "isn't picklable", "LeafSpec", "dataloader is not resumable",
+    "exists and is not empty", "`srun` command is available", "Grad strides do not match",
 )  # fmt: skip
 
 

@@ -15,7 +15,7 @@ from torch import nn
 from rfpp.errors import UserError
 from rfpp.training.checkpoint_files import AtomicCheckpointIO
 
-#: Environment variable with the name of the run's folder; without it, the folder is named by the time (conf/common.yaml).
+#: Environment variable with the name of the run's folder; the default is the time, see conf/common.yaml.
 RUN_VARIABLE = "RFPP_RUN"
 
 

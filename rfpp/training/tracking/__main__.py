@@ -9,7 +9,8 @@ import sys
 from pathlib import Path
 
 from rfpp.errors import UserError
-from rfpp.training.tracking.sending import Sender, first_line
+from rfpp.training.tracking.registry import first_line
+from rfpp.training.tracking.sending import Sender
 
 
 def main(folders: list[str]) -> int:
@@ -24,7 +25,8 @@ def main(folders: list[str]) -> int:
             print(f"error: {error}", file=sys.stderr)
             status = 1
         except Exception as error:  # MLflow raises exceptions of many libraries
-            print(f"error: {folder}: cannot be sent to {sender.mlflow_run.tracking_uri} ({first_line(error)})", file=sys.stderr)
+            reason = f"cannot be sent to {sender.mlflow_run.tracking_uri} ({first_line(error)})"
+            print(f"error: {folder}: {reason}", file=sys.stderr)
             status = 1
     return status
 

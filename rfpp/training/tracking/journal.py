@@ -43,10 +43,11 @@ class Journal:
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             self._file = open(path, "ab", buffering=0)  # noqa: SIM115 (open for the whole run)
-            end = 0
-            for record, end in records(path):
+            complete = 0
+            for record, following in records(path):
                 self._remember(record)
-            self._file.truncate(end)
+                complete = following
+            self._file.truncate(complete)
         except OSError as error:
             raise self._unwritable(error) from None
 
