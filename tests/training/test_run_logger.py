@@ -1,8 +1,8 @@
-"""A run without MLflow: its metrics are a table in its folder, whatever happens to the process."""
+"""A run without MLflow: its metrics are a table in its folder, even if its process is killed."""
 
 import csv
 
-from rfpp.training.tracking.local import LocalLogger
+from rfpp.training.tracking.run_logger import RunLogger
 
 
 def table(folder):
@@ -10,8 +10,8 @@ def table(folder):
         return [{name: value for name, value in row.items() if value} for row in csv.DictReader(file)]
 
 
-def test_a_row_for_each_step_and_a_column_for_each_metric(tmp_path):
-    logger = LocalLogger("run", tmp_path)
+def test_a_row_per_step_and_a_column_per_metric(tmp_path):
+    logger = RunLogger("run", tmp_path)
     logger.log_metrics({"train/loss": 0.1, "epoch": 0}, 0)
     logger.log_metrics({"train/loss": 1e-9}, 1)
     logger.log_metrics({"validation/l1": 0.25}, 1)
@@ -22,29 +22,29 @@ def test_a_row_for_each_step_and_a_column_for_each_metric(tmp_path):
     ]
 
 
-def test_every_checkpoint_brings_the_table_up_to_date(tmp_path):
-    logger = LocalLogger("run", tmp_path)
+def test_every_checkpoint_updates_the_table(tmp_path):
+    logger = RunLogger("run", tmp_path)
     logger.log_metrics({"loss": 1.0}, 0)
     logger.sync()
     assert [row["step"] for row in table(tmp_path)] == ["0"]
 
 
-def test_who_goes_on_repeats_no_step_and_loses_none(tmp_path):
-    killed = LocalLogger("run", tmp_path)
+def test_a_resumed_run_repeats_no_step_and_loses_none(tmp_path):
+    killed = RunLogger("run", tmp_path)
     for step in range(4):
         killed.log_metrics({"loss": step / 2}, step)  # the last two after the last checkpoint
-    again = LocalLogger("run", tmp_path)
+    again = RunLogger("run", tmp_path)
     for step in range(2, 6):
         again.log_metrics({"loss": step / 2}, step)
     again.finalize("success")
     assert [float(row["loss"]) for row in table(tmp_path)] == [step / 2 for step in range(6)]
 
 
-def test_a_run_that_is_refused_leaves_nothing(tmp_path):
-    LocalLogger("run", tmp_path / "run").finalize("failed")
+def test_a_run_that_fails_before_it_logs_leaves_nothing(tmp_path):
+    RunLogger("run", tmp_path / "run").finalize("failed")
     assert not (tmp_path / "run").exists()
 
 
-def test_it_names_no_mlflow_run(tmp_path):
-    logger = LocalLogger("run", tmp_path)
-    assert (logger.run_id, logger.tracking_uri, logger.registered_model, logger.version) == (None,) * 4
+def test_it_has_no_mlflow_run(tmp_path):
+    logger = RunLogger("run", tmp_path)
+    assert (logger.run_id, logger.tracking_uri, logger.version) == (None,) * 3
