@@ -24,7 +24,7 @@ from rfpp.commands import entry_point
 from rfpp.evaluation.measuring.light import measure
 from rfpp.evaluation.tables.light_table import COLUMNS, light_row, write_light_rows
 from rfpp.model.linear_transport import LinearTransport
-from rfpp.model.matrix_precision import matrix_dtype
+from rfpp.model.layers.matrix_precision import matrix_dtype
 from rfpp.model.radiosity import UnlearnedRadiosity
 from rfpp.progress import progress_bars
 from rfpp.shards.dataset import ShardSplit

@@ -12,7 +12,7 @@ from pathlib import Path
 from torch.utils.data import Dataset
 
 from rfpp.errors import ShardError
-from rfpp.gbuffer.first_hit import CHANNELS
+from rfpp.raycast.first_hit import CHANNELS
 from rfpp.shards.cache import ShardCache
 from rfpp.shards.index import ListedShard, ShardIndex
 from rfpp.shards.manifest import Manifest

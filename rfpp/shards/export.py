@@ -13,8 +13,8 @@ import numpy as np
 from jaxtyping import Float
 
 from rfpp.errors import SceneError, UserError
-from rfpp.gbuffer.direct_light import direct_radiance
-from rfpp.gbuffer.first_hit import channel, object_ids
+from rfpp.raycast.direct_light import direct_radiance
+from rfpp.raycast.first_hit import channel, object_ids
 from rfpp.imaging.exr import write_exr
 from rfpp.imaging.panels import save_picture, tone_mapped
 from rfpp.scene.io.renderformer_h5 import save_h5
@@ -77,7 +77,7 @@ def export_exr(sample: SceneSample, folder: Path) -> list[Path]:
 
     Half precision, but float32 `depth` and `direct`. `triangle` and `object` count from 1, and 0 is nothing. `direct`
     is the radiance of the first bounce, the rest of the image came by more; other layers as in
-    `rfpp.gbuffer.first_hit.CHANNELS`.
+    `rfpp.raycast.first_hit.CHANNELS`.
     """
     return [
         write_exr(folder / f"{sample.key}.view{view}.exr", _layers(sample, view)) for view in range(len(sample.images))

@@ -13,7 +13,7 @@ from pathlib import Path
 from torch.utils.data import Dataset
 
 from rfpp.errors import ShardError
-from rfpp.gbuffer.first_hit import CHANNELS
+from rfpp.raycast.first_hit import CHANNELS
 from rfpp.shards.cache import ShardCache
 from rfpp.shards.dataset import ShardSplit
 from rfpp.shards.manifest import Manifest

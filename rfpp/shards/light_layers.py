@@ -15,8 +15,8 @@ from jaxtyping import Float, Int
 from safetensors.numpy import load as load_arrays
 from safetensors.numpy import save as save_arrays
 
-from rfpp.gbuffer.cells import Cells
-from rfpp.gbuffer.first_hit import LIGHT_CHANNELS, GBuffer
+from rfpp.radiosity.cells import Cells
+from rfpp.raycast.first_hit import LIGHT_CHANNELS, GBuffer
 from rfpp.imaging.exr import decode_exr, encode_exr
 from rfpp.shards.whole import require_half_range
 
@@ -32,8 +32,8 @@ class LightLayers:
         objects: [L] of the scene, ascending.
         images: [L, V, H, W, 3] references.
         known: name of `LIGHT_CHANNELS` → [L, V, H, W, 3] of the G-buffers.
-        object_light: [L, O, 3] see `rfpp.gbuffer.object_light`.
-        arriving, highlights: [L, C, 3] at cells, see `rfpp.gbuffer.cells.Cells`.
+        object_light: [L, O, 3] see `rfpp.raycast.object_light`.
+        arriving, highlights: [L, C, 3] at cells, see `rfpp.radiosity.cells.Cells`.
     """
 
     objects: Int[np.ndarray, " l"]

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from rfpp.errors import ShardError
-from rfpp.gbuffer.first_hit import BOUNCED_LIGHT, DirectLight, GBuffer
+from rfpp.raycast.first_hit import BOUNCED_LIGHT, DirectLight, GBuffer
 from rfpp.scene.triangles import EMISSION
 from rfpp.shards.sample import SceneSample
 

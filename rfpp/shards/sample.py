@@ -17,8 +17,8 @@ from safetensors.numpy import load as load_arrays
 from safetensors.numpy import save as save_arrays
 
 from rfpp.errors import ShardError
-from rfpp.gbuffer.cells import Cells, parts
-from rfpp.gbuffer.first_hit import (
+from rfpp.radiosity.cells import Cells, parts
+from rfpp.raycast.first_hit import (
     BOUNCED_LIGHT,
     CELL_CHANNELS,
     CELL_RAYS,
@@ -64,8 +64,8 @@ class SceneSample:
         fov: [V] float32 degrees along the longer image side.
         images: [V, H, W, 3] float32 linear radiance; half-precision values once stored.
         gbuffers: V G-buffers with their direct light, their reflection and the cells they see.
-        object_light: [O, 3] float32 radiance that leaves each object by the first bounce (`rfpp.gbuffer.object_light`).
-        cells: of the scene (`rfpp.gbuffer.cells`).
+        object_light: [O, 3] float32 radiance that leaves each object by the first bounce (`rfpp.raycast.object_light`).
+        cells: of the scene (`rfpp.radiosity.cells`).
         meta: JSON-able: how the scene was made.
         lights: all of its light apart for each light, where that is stored and was asked for.
     """

@@ -9,13 +9,13 @@ from typing import SupportsFloat
 import numpy as np
 from jaxtyping import Float
 
-from rfpp.gbuffer.cell_finding import find_cells
-from rfpp.gbuffer.cells import CellMap, Cells
-from rfpp.gbuffer.first_hit import GBuffer, camera_caster, first_hit
-from rfpp.gbuffer.gathering import with_cells
-from rfpp.gbuffer.known_light import with_known_light
-from rfpp.gbuffer.light_sampler import LightSampler
-from rfpp.gbuffer.object_light import object_light
+from rfpp.radiosity.cell_finding import find_cells
+from rfpp.radiosity.cells import CellMap, Cells
+from rfpp.raycast.first_hit import GBuffer, camera_caster, first_hit
+from rfpp.radiosity.pixel_rays import with_cells
+from rfpp.raycast.known_light import with_known_light
+from rfpp.raycast.light_sampler import LightSampler
+from rfpp.raycast.object_light import object_light
 from rfpp.scene.triangles import SceneTriangles
 
 
@@ -39,20 +39,20 @@ class SceneRays:
         return alone
 
     def first_hit(self, c2w: Float[np.ndarray, "4 4"], fov: SupportsFloat, resolution: int) -> GBuffer:
-        """The square G-buffer of one camera, without light (`rfpp.gbuffer.first_hit`)."""
+        """The square G-buffer of one camera, without light (`rfpp.raycast.first_hit`)."""
         return first_hit(self.triangles, c2w, fov, resolution, resolution, self._caster)
 
     def lit(self, seen: GBuffer, c2w: Float[np.ndarray, "4 4"], fov: SupportsFloat, samples: int, seed: int) -> GBuffer:
-        """The same with its direct light (`rfpp.gbuffer.known_light`)."""
+        """The same with its direct light (`rfpp.raycast.known_light`)."""
         return with_known_light(seen, c2w, fov, self._lights, samples, seed, reflects=False)
 
     def object_light(self) -> Float[np.ndarray, "o 3"]:
-        """Of every object (`rfpp.gbuffer.object_light`)."""
+        """Of every object (`rfpp.raycast.object_light`)."""
         return object_light(self._lights)
 
     @property
     def cells(self) -> Cells:
-        """Of the scene (`rfpp.gbuffer.cells`)."""
+        """Of the scene (`rfpp.radiosity.cells`)."""
         return self._cells[0]
 
     @cached_property

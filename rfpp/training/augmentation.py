@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from rfpp.batch import SceneViews
 from rfpp.errors import UserError
-from rfpp.gbuffer.first_hit import CHANNELS, COLOUR_CHANNELS
+from rfpp.raycast.first_hit import CHANNELS, COLOR_CHANNELS
 from rfpp.scene.triangles import DIFFUSE, EMISSION, SPECULAR, SceneTriangles
 from rfpp.shards.mixing import mixed
 from rfpp.shards.sample import SceneSample
@@ -65,7 +65,7 @@ class ColourPermutation:
             material[:, colour] = material[:, colour][:, order]
         gbuffer, start = views.gbuffer.copy(), 0
         for name in channels:
-            if name in COLOUR_CHANNELS:
+            if name in COLOR_CHANNELS:
                 gbuffer[:, start : start + 3] = gbuffer[:, start : start + 3][:, order]
             start += CHANNELS[name]
         triangles = replace(views.triangles, material=material)
