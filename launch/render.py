@@ -4,7 +4,7 @@
     python launch/render.py scene=chair.glb checkpoint=data/runs/quickstart/latest/checkpoints/best.ckpt
     python launch/render.py scene=chair.glb motion=turntable tone_map=agx
 
-Without a checkpoint, the included radiosity renderer renders; a checkpoint of launch/train.py renders with that network.
+Without a checkpoint, the included radiosity renders; with one of launch/train.py, that network.
 """
 
 from __future__ import annotations

@@ -170,9 +170,7 @@ class RaggedBatch:
         moved = {}
         for field in fields(self):
             value = getattr(self, field.name)
-            moved[field.name] = (
-                value.to(device, **kwargs) if isinstance(value, _Movable) else value
-            )
+            moved[field.name] = value.to(device, **kwargs) if isinstance(value, _Movable) else value
         return RaggedBatch(**moved)
 
     def pin_memory(self) -> RaggedBatch:

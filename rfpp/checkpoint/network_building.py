@@ -48,7 +48,9 @@ def build(config: Any, where: str) -> Any:
             raise CheckpointError(f"{where}: {name}={value} is more than {_MOST_TIMES}: refused")
     target = config["_target_"]
     if not isinstance(target, str) or not target.startswith(ALLOWED_PREFIXES):
-        raise CheckpointError(f"{where}: names {target!r}, which is not in {' or '.join(p[:-1] for p in ALLOWED_PREFIXES)}: refused")
+        raise CheckpointError(
+            f"{where}: names {target!r}, which is not in {' or '.join(p[:-1] for p in ALLOWED_PREFIXES)}: refused"
+        )
     module_name, _, class_name = target.rpartition(".")
     try:
         part = getattr(importlib.import_module(module_name), class_name)

@@ -32,8 +32,8 @@ class DifferentiableRenderer:
 
     Gradients by diffuse and specular albedo and by emission pass through the refinement, through light gathered from
     cells, and through direct light. They are those of the same rays, for any number of objects; each light whose
-    emission has a gradient costs one more pass over the rays. Geometry is held fixed, with all that depends on it: first
-    hits, directions and ends of rays, and cells.
+    emission has a gradient costs one more pass over the rays. Geometry is held fixed, with all that depends on it:
+    first hits, directions and ends of rays, and cells.
 
     Roughness changes directions of rays, so its gradient is a central difference (± 0.02) with the same random numbers:
     two more images for each object whose roughness has a gradient.
@@ -41,8 +41,8 @@ class DifferentiableRenderer:
     A material whose specular albedo is exactly 0 has no glossy lobe, and no gradient by specular albedo or roughness.
 
     Args:
-        renderer: Renderer of a model that is linear in lights; float32 gives gradients without rounding to bfloat16. Its
-            weights are frozen.
+        renderer: Renderer of a model that is linear in lights; float32 gives gradients without rounding to bfloat16.
+            Its weights are frozen.
 
     Raises:
         UserError: If the model is not linear in lights.

@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Float
 
 from rfpp.errors import UserError
-from rfpp.raycast.first_hit import CHANNELS, COLOR_CHANNELS
 from rfpp.imaging.exr import compact
+from rfpp.raycast.first_hit import CHANNELS, COLOR_CHANNELS
 
 #: Layers whose values half precision would round visibly.
 _FLOAT32 = ("depth", "position")

@@ -76,7 +76,10 @@ class DifferentiableInputs:
         height, width = bounced.shape[1:]
         bounced = bounced + self._by_albedo(seen.cells.trace).view(height, width, 3).permute(2, 0, 1)
         for light, change in self.lights.items():
-            alone, change = self.source.seen(replace(self.plan, scene=self._white), number, light), change[:, None, None]
+            alone, change = (
+                self.source.seen(replace(self.plan, scene=self._white), number, light),
+                change[:, None, None],
+            )
             for name in _LIGHT:
                 slope = channel(alone.gbuffer, self._white.triangles.material, self._white.fov[number], name)
                 channels[name] = channels[name] + self._first(slope) * change

@@ -94,7 +94,8 @@ class ViewDecoder(nn.Module):
             features.append(x)
 
         levels = [f.view(batch * views, *grid, -1).permute(0, 3, 1, 2) for f in features[-LEVELS:]]
-        return self.head(levels, height, width).view(batch, views, 3, height, width)
+        log_radiance: Tensor = self.head(levels, height, width)
+        return log_radiance.view(batch, views, 3, height, width)
 
     @property
     def gbuffer_channels(self) -> tuple[str, ...]:

@@ -68,9 +68,7 @@ class LitCells:
         glossy = of_rays(cells.specular, cells.hits) * of_rays(self.leaving_before, cells.onward)
         return LitCells(cells, cells.direct + cells.highlights + (diffuse + glossy).mean(1), self.irradiance)
 
-    def toward(
-        self, hits: Int[Tensor, "*rays"], onward: Int[Tensor, "*rays"]
-    ) -> Float[Tensor, "*rays 3"]:
+    def toward(self, hits: Int[Tensor, "*rays"], onward: Int[Tensor, "*rays"]) -> Float[Tensor, "*rays 3"]:
         """Return the radiance that rays bring from where they end, except direct light reflected there.
 
         Args:

@@ -30,8 +30,8 @@ class SeenCells:
         glossy: Ends of rays distributed like the glossy lobe.
         diffuse_onward: Ends of the glossy continuations of the diffuse rays (`rfpp.radiosity.ray_ends`).
         glossy_onward: Ends of the glossy continuations of the glossy rays.
-        bounced: Irradiance / π from the surfaces that the diffuse rays hit, as the emitters light them. Evaluated at the
-            hit, because a cell knows only the mean of the light and shadow on it.
+        bounced: Irradiance / π from the surfaces that the diffuse rays hit, as the emitters light them. Evaluated at
+            the hit, because a cell holds only the mean of light and shadow.
         trace: Derivatives of `bounced` by albedos, for the pixels row by row, if requested.
     """
 

@@ -13,8 +13,8 @@ from rfpp.radiosity.refinement import Refinement
 from rfpp.radiosity.sample_means import means, repeated
 from rfpp.radiosity.view import View
 
-#: Share of each neighbor along a row and along a column in a pixel of one sample: G-buffers have hard edges, path-traced
-#: images have not.
+#: Share of each neighbor along a row and along a column in a pixel of one sample. G-buffers have hard edges,
+#: path-traced images do not.
 _PIXEL_FILTER = 0.125
 
 

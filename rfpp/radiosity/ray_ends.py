@@ -24,7 +24,7 @@ class RayEnds(NamedTuple):
 
     Attributes:
         cell: Cell in which the ray ends; NOWHERE if it escapes.
-        onward: Cell in which its glossy continuation ends; NOWHERE if it escapes, or in the share that the lobe absorbs.
+        onward: Cell in which its glossy continuation ends; NOWHERE if it escapes or the lobe absorbs it.
         highlights: Radiance of the emitters that returns along the ray by way of the glossy lobe.
         triangle: Triangle on which the ray ends; -1 if none.
         slope: Derivative of the highlights by the specular albedo there.

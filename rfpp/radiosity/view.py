@@ -46,7 +46,14 @@ class View:
 
     def direct_only(self, cells: int) -> View:
         """Return the view without reflections and bounced light, for a scene of C cells."""
-        names = ("diffuse", "glossy", "diffuse_onward", "glossy_onward")
-        escaped = {name: torch.full_like(getattr(self, name), cells) for name in names}
+        escaped = torch.full_like(self.diffuse, cells)
         dark = {"reflected_light": torch.zeros_like(self.channels["reflected_light"])}
-        return replace(self, channels={**self.channels, **dark}, bounced=torch.zeros_like(self.bounced), **escaped)
+        return replace(
+            self,
+            channels={**self.channels, **dark},
+            diffuse=escaped,
+            glossy=escaped,
+            diffuse_onward=escaped,
+            glossy_onward=escaped,
+            bounced=torch.zeros_like(self.bounced),
+        )

@@ -25,17 +25,18 @@ def compiled(function: Callable[P, R]) -> Callable[P, R]:
     """Compile a function on its first call and cache the machine code on disk.
 
     The function releases the GIL and cannot allocate arrays, so that Numba counts no references (more than half of the
-    time of loops that pass a scene's arrays to other functions). Calls are inlined: each would pass a hundred numbers on
-    the stack. Divisions by zero are infinite, as in NumPy.
+    time of loops that pass a scene's arrays to other functions). Calls are inlined, because each would pass a hundred
+    numbers on the stack. Divisions by zero are infinite, as in NumPy.
     """
     how: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy", "_nrt": False, "forceinline": True}
     source = inspect.unwrap(function)
-    before = numba.config.CACHE_DIR
-    numba.config.CACHE_DIR = before or _cache_folder(Path(inspect.getfile(source)).parent)
+    config: Any = numba.config
+    before = config.CACHE_DIR
+    config.CACHE_DIR = before or _cache_folder(Path(inspect.getfile(source)).parent)
     try:
         faster: Any = numba.njit(**how)(source)
     finally:
-        numba.config.CACHE_DIR = before
+        config.CACHE_DIR = before
     return cast(Callable[P, R], faster)  # Numba's decorator has no types
 
 

@@ -10,8 +10,8 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
-from rfpp.raycast.first_hit import first_hit
 from rfpp.inference.renderer import Renderer
+from rfpp.raycast.first_hit import first_hit
 from rfpp.scene.packed import PackedScene
 from rfpp.serve.image_window import Frame
 from rfpp.serve.render_request import Asked

@@ -7,7 +7,7 @@ import pytest
 from edited_scenes import changed, dimmed, lamp, moved, recoloured, scene
 
 import rfpp.inference.gbuffers
-from rfpp.gbuffer.first_hit import BOUNCED_LIGHT, CELL_CHANNELS
+from rfpp.raycast.first_hit import BOUNCED_LIGHT, CELL_CHANNELS
 from rfpp.inference.gbuffers import GBufferSource
 from rfpp.scene.packed import pack
 

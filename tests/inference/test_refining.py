@@ -8,12 +8,12 @@ from networks import checkpoint_info, model_config, network
 
 from rfpp import Renderer
 from rfpp.inference.light_mixing import LightMixer
-from rfpp.model.refinement import Refinement
+from rfpp.radiosity.refinement import Refinement
 from rfpp.scene.packed import pack
 
 SIZE = (16, 16)
 LINEAR, PAPER = "experiment=quickstart", "experiment=large_scale"
-REFINEMENT = {"_target_": "rfpp.model.refinement.Refinement", "widths": [8, 12, 16], "bound": 1.0}
+REFINEMENT = {"_target_": "rfpp.radiosity.refinement.Refinement", "widths": [8, 12, 16], "bound": 1.0}
 
 
 def refined_network(overrides: str = LINEAR):

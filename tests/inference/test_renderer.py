@@ -15,7 +15,7 @@ import rfpp.inference.gbuffers
 from rfpp import Renderer
 from rfpp.batch import RaggedBatch, SceneViews
 from rfpp.errors import SceneError, UserError
-from rfpp.gbuffer.first_hit import first_hit, stack_channels
+from rfpp.raycast.first_hit import first_hit, stack_channels
 from rfpp.imaging.radiance import log_decode
 from rfpp.scene.packed import pack
 from rfpp.scene.spec import Camera

@@ -13,7 +13,7 @@ import pytest
 import torch
 
 from rfpp.checkpoint.shipped import shipped
-from rfpp.gbuffer.first_hit import CHANNELS
+from rfpp.raycast.first_hit import CHANNELS
 from rfpp.imaging.exr import read_exr
 from rfpp.inference.gbuffers import GBufferSource
 from rfpp.inference.renderer import Renderer

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from rfpp.model.joint_window import JointWindow
+from rfpp.radiosity.joint_window import JointWindow
 
 WINDOW = JointWindow(radius=2, reach=1 / 32, normal=0.3, plane=0.01, spread=2.0)
 

@@ -12,7 +12,7 @@ from stored_sample import stored_sample
 
 from rfpp.batch import RaggedBatch
 from rfpp.errors import UserError
-from rfpp.gbuffer.first_hit import CHANNELS, LIGHT_CHANNELS
+from rfpp.raycast.first_hit import CHANNELS, LIGHT_CHANNELS
 from rfpp.imaging.radiance import log_decode
 from rfpp.model.bounces import light_after
 from rfpp.model.couplings import Corrections, DenseCouplings

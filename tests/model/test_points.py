@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from rfpp.model.points import means, repeated
+from rfpp.radiosity.sample_means import means, repeated
 
 
 @pytest.mark.parametrize("number", [1, 2, 3])

@@ -6,7 +6,7 @@ import pytest
 import torch
 from networks import network
 
-from rfpp.model.refinement import Refinement, Unrefined
+from rfpp.radiosity.refinement import Refinement, Unrefined
 
 FOV = torch.tensor([40.0, 60.0])
 

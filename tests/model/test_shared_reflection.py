@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from rfpp.model.joint_window import JointWindow
+from rfpp.radiosity.joint_window import JointWindow
 from rfpp.model.linear_decoder import KNOWN, radiance_with
 from rfpp.model.view_channels import ViewChannels
 

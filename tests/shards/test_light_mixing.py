@@ -8,8 +8,8 @@ from small_data import REFERENCE, SETTINGS, invented, make
 from two_lights import POWERS, TwoLights, invented_lights
 
 from rfpp.errors import ShardError, UserError
-from rfpp.gbuffer.cells import parts
-from rfpp.gbuffer.first_hit import CHANNELS, LIGHT_CHANNELS, stack_channels
+from rfpp.radiosity.cells import parts
+from rfpp.raycast.first_hit import CHANNELS, LIGHT_CHANNELS, stack_channels
 from rfpp.reference.cycles import render_lights
 from rfpp.scene.triangles import EMISSION
 from rfpp.shards.dataset import ShardSplit

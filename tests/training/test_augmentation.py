@@ -6,7 +6,7 @@ from small_data import make
 from two_lights import TwoLights, invented_lights
 
 from rfpp.errors import ShardError, UserError
-from rfpp.gbuffer.first_hit import first_hit, stack_channels
+from rfpp.raycast.first_hit import first_hit, stack_channels
 from rfpp.scene.triangles import DIFFUSE, EMISSION, SPECULAR
 from rfpp.shards.dataset import ShardSplit
 from rfpp.shards.views import AllViews

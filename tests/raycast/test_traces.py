@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from known_scenes import box, look_at, material, pack, square
 
-from rfpp.gbuffer.cell_finding import cells_at, find_cells
-from rfpp.gbuffer.cell_places import find_places
-from rfpp.gbuffer.first_hit import first_hit
-from rfpp.gbuffer.gathering import with_cells
-from rfpp.gbuffer.ggx import lobe_albedo, multiple_scattering, scattering_growth
-from rfpp.gbuffer.known_light import with_known_light
-from rfpp.gbuffer.light_sampler import LightSampler
+from rfpp.radiosity.cell_finding import cells_at, find_cells
+from rfpp.radiosity.cell_places import find_places
+from rfpp.raycast.first_hit import first_hit
+from rfpp.radiosity.pixel_rays import with_cells
+from rfpp.raycast.ggx import lobe_albedo, multiple_scattering, scattering_growth
+from rfpp.raycast.known_light import with_known_light
+from rfpp.raycast.light_sampler import LightSampler
 from rfpp.scene.triangles import DIFFUSE, SPECULAR, SceneTriangles
 
 FOV, SIDE, POINTS = 40.0, 16, 2

@@ -5,13 +5,13 @@ import pytest
 from known_scenes import look_at, material, pack, sphere, square, still_life
 from slow_light import cell_keys, direct_light
 
-from rfpp.gbuffer.cell_grid import CellGrid
-from rfpp.gbuffer.counted_random import key_of, spread, uniform
-from rfpp.gbuffer.direct_light import gathered
-from rfpp.gbuffer.first_hit import first_hit
-from rfpp.gbuffer.known_light import with_known_light
-from rfpp.gbuffer.light_sampler import LightSampler
-from rfpp.gbuffer.surface import Surface
+from rfpp.radiosity.cell_grid import CellGrid
+from rfpp.raycast.counted_random import key_of, spread, uniform
+from rfpp.raycast.direct_light import gathered
+from rfpp.raycast.first_hit import first_hit
+from rfpp.raycast.known_light import with_known_light
+from rfpp.raycast.light_sampler import LightSampler
+from rfpp.raycast.surface import Surface
 
 POSE, FOV, SIDE = look_at((0.3, -1.5, 0.9), (0, 0, 0.1)), 40.0, 16
 

@@ -7,14 +7,14 @@ import pytest
 from known_scenes import box, look_at, material, pack, sphere, square
 from slow_light import direct_light
 
-from rfpp.gbuffer.cell_finding import find_cells
-from rfpp.gbuffer.cell_table import NOWHERE
-from rfpp.gbuffer.first_hit import CELL_RAYS, SeenCells, first_hit
-from rfpp.gbuffer.gathering import rays_beside, with_cells
-from rfpp.gbuffer.light_sampler import LightSampler
-from rfpp.gbuffer.ray_ends import follow_rays
-from rfpp.gbuffer.raycast import RayCaster
-from rfpp.gbuffer.surface import Surface
+from rfpp.radiosity.cell_finding import find_cells
+from rfpp.radiosity.cell_table import NOWHERE
+from rfpp.raycast.first_hit import CELL_RAYS, SeenCells, first_hit
+from rfpp.radiosity.pixel_rays import rays_beside, with_cells
+from rfpp.raycast.light_sampler import LightSampler
+from rfpp.radiosity.ray_ends import follow_rays
+from rfpp.raycast.raycast import RayCaster
+from rfpp.raycast.surface import Surface
 from rfpp.scene.triangles import SceneTriangles
 
 FOV, SIDE = 40.0, 32

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from known_scenes import LIGHT, box, material, moved, pack, rigid_motion, sphere, square, still_life
 
-from rfpp.gbuffer.cell_finding import find_cells
-from rfpp.gbuffer.cell_grid import CellGrid, principal_axes
-from rfpp.gbuffer.cell_table import NOWHERE
-from rfpp.gbuffer.cells import Cells
-from rfpp.gbuffer.light_sampler import LightSampler
+from rfpp.radiosity.cell_finding import find_cells
+from rfpp.radiosity.cell_grid import CellGrid, principal_axes
+from rfpp.radiosity.cell_table import NOWHERE
+from rfpp.radiosity.cells import Cells
+from rfpp.raycast.light_sampler import LightSampler
 from rfpp.scene.triangles import EMISSION
 
 LAMP = (LIGHT * 2.5 + [0, 0, 2.0], material(emission=1000.0))

@@ -10,11 +10,11 @@ from reference_presets import preset
 from scene_families import draw, family
 from slow_light import direct_light
 
-from rfpp.gbuffer import known_light, surface, threads
-from rfpp.gbuffer.first_hit import DirectLight, GBuffer, channel, first_hit, stack_channels
-from rfpp.gbuffer.known_light import with_known_light
-from rfpp.gbuffer.light_sampler import LightSampler
-from rfpp.gbuffer.polygon_light import ROOM, form_factor, unhidden_each
+from rfpp.raycast import known_light, surface, threads
+from rfpp.raycast.first_hit import DirectLight, GBuffer, channel, first_hit, stack_channels
+from rfpp.raycast.known_light import with_known_light
+from rfpp.raycast.light_sampler import LightSampler
+from rfpp.raycast.polygon_light import ROOM, form_factor, unhidden_each
 from rfpp.reference.cycles import CyclesSettings, render_passes
 from rfpp.scene.camera import camera_to_world
 from rfpp.scene.io.loading import load_scene

@@ -8,10 +8,10 @@ from known_scenes import LIGHT, box, look_at, material, pack, sphere, square
 from marks import requires_blender
 from reference_presets import preset
 
-from rfpp.gbuffer.direct_light import direct_radiance
-from rfpp.gbuffer.first_hit import GBuffer, Reflection, channel, first_hit, stack_channels
-from rfpp.gbuffer.known_light import with_known_light
-from rfpp.gbuffer.light_sampler import LightSampler
+from rfpp.raycast.direct_light import direct_radiance
+from rfpp.raycast.first_hit import GBuffer, Reflection, channel, first_hit, stack_channels
+from rfpp.raycast.known_light import with_known_light
+from rfpp.raycast.light_sampler import LightSampler
 from rfpp.reference.cycles import CyclesSettings, render_passes
 from rfpp.scene.camera import camera_to_world
 from rfpp.scene.io.loading import load_scene

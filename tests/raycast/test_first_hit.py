@@ -6,7 +6,7 @@ from camera_rays import pixel_rays
 from known_scenes import LIGHT, box, look_at, material, moved, pack, rigid_motion, sphere, square, still_life
 
 from rfpp.errors import UserError
-from rfpp.gbuffer.first_hit import CHANNELS, camera_caster, camera_positions, first_hit, object_ids, stack_channels
+from rfpp.raycast.first_hit import CHANNELS, camera_caster, camera_positions, first_hit, object_ids, stack_channels
 
 
 def test_a_plane_seen_from_above_has_its_depth_and_normal():

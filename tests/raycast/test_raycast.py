@@ -6,8 +6,8 @@ import pytest
 from known_scenes import sphere, square
 
 from rfpp.errors import MissingDependencyError
-from rfpp.gbuffer.embree import embree
-from rfpp.gbuffer.raycast import RayCaster
+from rfpp.raycast.embree import embree
+from rfpp.raycast.raycast import RayCaster
 
 
 def test_barycentric_weights_rebuild_the_hit_point():

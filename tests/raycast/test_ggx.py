@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rfpp.gbuffer import ggx
+from rfpp.raycast import ggx
 
 _ROUGHNESS = [0.3, 0.6, 1.0]
 _COSINES = [0.2, 0.7, 1.0]

@@ -3,11 +3,11 @@
 import numpy as np
 from known_scenes import LIGHT, box, look_at, material, moved, pack, rigid_motion, sphere, square, still_life
 
-from rfpp.gbuffer.direct_light import direct_radiance
-from rfpp.gbuffer.first_hit import first_hit
-from rfpp.gbuffer.known_light import with_known_light
-from rfpp.gbuffer.light_sampler import LightSampler
-from rfpp.gbuffer.object_light import object_light
+from rfpp.raycast.direct_light import direct_radiance
+from rfpp.raycast.first_hit import first_hit
+from rfpp.raycast.known_light import with_known_light
+from rfpp.raycast.light_sampler import LightSampler
+from rfpp.raycast.object_light import object_light
 from rfpp.scene.triangles import EMISSION, SceneTriangles
 
 LAMP = (LIGHT * 2.5 + [0, 0, 2.0], material(emission=1000.0))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numba.core.errors import NumbaError
 
-from rfpp.gbuffer import compiled
+from rfpp.raycast import compiled
 
 CALLER = """
 from loops.compiled import compiled
