@@ -9,7 +9,7 @@ from known_scenes import box, look_at, material, pack, square
 from rfpp.radiosity.cell_finding import cells_at, find_cells
 from rfpp.radiosity.cell_places import find_places
 from rfpp.raycast.first_hit import first_hit
-from rfpp.radiosity.pixel_rays import with_cells
+from rfpp.radiosity.pixel_rays import see_cells
 from rfpp.raycast.ggx import lobe_albedo, multiple_scattering, scattering_growth
 from rfpp.raycast.known_light import with_known_light
 from rfpp.raycast.light_sampler import LightSampler
@@ -55,7 +55,7 @@ def test_bounced_light_and_highlights_change_as_their_traces_say(columns):
         places = find_places(scene, sampler.caster)
         cells, sources = cells_at(places, sampler)
         seen = first_hit(scene, CAMERA, FOV, SIDE, SIDE, points=POINTS)
-        return cells, with_cells(seen, CAMERA, FOV, sampler, places.map, traced=True).cells, sources
+        return cells, see_cells(seen, CAMERA, FOV, sampler, places.map, traced=True), sources
 
     (cells, pixels, sources), (more, of_more, _), (less, of_less, _) = (
         of(mirror_and_box(change, columns)) for change in (0.0, 0.02, -0.02)
@@ -64,7 +64,7 @@ def test_bounced_light_and_highlights_change_as_their_traces_say(columns):
     triangle = first_hit(mirror_and_box(), CAMERA, FOV, SIDE, SIDE, points=POINTS).triangle
     of_floor = (triangle >= 0) & (triangle < FLOOR.stop)
     of_floor = of_floor.reshape(SIDE // POINTS, POINTS, SIDE // POINTS, POINTS).all((1, 3)).reshape(-1)
-    at_pixels = (of_more.bounced - of_less.bounced)[::POINTS, ::POINTS].reshape(-1, 3)
+    at_pixels = (of_more.bounced - of_less.bounced).reshape(-1, 3)
     of_cells, every = more.highlights - less.highlights, np.ones(len(cells), bool)
     traces = [(pixels.trace, at_pixels, of_floor)]
     if columns == SPECULAR:
@@ -86,7 +86,7 @@ def test_nothing_is_recorded_and_nothing_changes_where_nobody_asks():
     assert quiet.reflection.trace is None
     np.testing.assert_array_equal(quiet.reflection.light, traced.reflection.light)
     places = find_cells(sampler)[1]
-    assert with_cells(seen, CAMERA, FOV, sampler, places).cells.trace is None
+    assert see_cells(seen, CAMERA, FOV, sampler, places).trace is None
 
 
 @pytest.mark.parametrize("alpha", [0.01, 0.3, 1.0])

@@ -9,8 +9,9 @@ from slow_light import direct_light
 
 from rfpp.radiosity.cell_finding import find_cells
 from rfpp.radiosity.cell_table import NOWHERE
-from rfpp.raycast.first_hit import CELL_RAYS, SeenCells, first_hit
-from rfpp.radiosity.pixel_rays import rays_beside, with_cells
+from rfpp.radiosity.cell_places import find_places
+from rfpp.radiosity.pixel_rays import MOST_RAYS, SeenCells, see_cells
+from rfpp.raycast.first_hit import first_hit
 from rfpp.raycast.light_sampler import LightSampler
 from rfpp.radiosity.ray_ends import follow_rays
 from rfpp.raycast.raycast import RayCaster
@@ -21,14 +22,15 @@ FOV, SIDE = 40.0, 32
 
 
 def seen_by(
-    scene: SceneTriangles, camera: np.ndarray, points: int = 1, seed: int = 0, rays: int = CELL_RAYS
+    scene: SceneTriangles, camera: np.ndarray, points: int = 1, seed: int = 0, rays: int = MOST_RAYS
 ) -> tuple[SeenCells, np.ndarray]:
     """The cells that pixels of a picture see, and the object of each cell, -1 for the last."""
     sampler = LightSampler(scene)
-    cells, places = find_cells(sampler)
+    places = find_places(scene, sampler.caster)
     gbuffer = first_hit(scene, camera, FOV, points * SIDE, points * SIDE, points=points)
-    seen = with_cells(gbuffer, camera, FOV, sampler, places, seed, rays=rays).cells
-    return seen, np.append(cells.octant // 8, NOWHERE)
+    seen = see_cells(gbuffer, camera, FOV, sampler, places.map, rays, seed)
+    first = np.searchsorted(places.cell, np.arange(places.cell[-1] + 1))
+    return seen, np.append(scene.object_index[places.points.triangle[first]], NOWHERE)
 
 
 def test_a_floor_sees_of_a_roof_what_the_form_factor_says():
@@ -39,7 +41,7 @@ def test_a_floor_sees_of_a_roof_what_the_form_factor_says():
     shares = [(owner[seen.diffuse] == 1)[middle, middle].mean() for seen, owner in drawn]
     assert np.mean(shares) == pytest.approx(0.5541, abs=0.03)
     seen, owner = drawn[0]
-    assert seen.diffuse.shape == (SIDE, SIDE, CELL_RAYS) and set(np.unique(owner[seen.diffuse])) == {NOWHERE, 1}
+    assert seen.diffuse.shape == (SIDE, SIDE, MOST_RAYS) and set(np.unique(owner[seen.diffuse])) == {NOWHERE, 1}
 
 
 def test_a_mirror_sees_what_is_mirrored_and_dull_surfaces_have_no_glossy_rays():
@@ -64,9 +66,7 @@ def test_points_of_a_pixel_share_its_rays():
     camera = look_at((0, -1.5, 0.8))
     whole, owner = seen_by(scene, camera)
     finer, _ = seen_by(scene, camera, points=2)
-    assert finer.diffuse.shape == (2 * SIDE, 2 * SIDE, CELL_RAYS)
-    for lobe in (*finer.rays.values(), finer.bounced):
-        np.testing.assert_array_equal(lobe[::2, ::2], lobe[1::2, 1::2])
+    assert finer.diffuse.shape == (SIDE, SIDE, MOST_RAYS)
     shares = [(owner[cells.diffuse] == 1).mean() for cells in (whole, finer)]
     assert shares[0] == pytest.approx(shares[1], rel=0.15) and shares[0] > 0.01
 
@@ -74,11 +74,11 @@ def test_points_of_a_pixel_share_its_rays():
 @pytest.mark.parametrize("rays", [1, 2])
 def test_fewer_rays_see_as_much(rays):
     scene = pack((square(1.0), material(0.5, specular=0.3)), (sphere(0.2, (0, 0, 0.3)), material(0.5, specular=0.3)))
-    (few, owner), (many, _) = (seen_by(scene, look_at((0, -1.5, 0.8)), rays=n) for n in (rays, CELL_RAYS))
-    for name, cells in few.rays.items():
-        assert cells.shape == (SIDE, SIDE, rays)
+    (few, owner), (many, _) = (seen_by(scene, look_at((0, -1.5, 0.8)), rays=n) for n in (rays, MOST_RAYS))
+    for name in ("diffuse", "glossy", "diffuse_onward", "glossy_onward"):
+        assert getattr(few, name).shape == (SIDE, SIDE, rays)
         # glossy rays are some that their lobe has not absorbed
-        shares = [(owner[seen] == 1).mean() for seen in (cells, many.rays[name])]
+        shares = [(owner[getattr(seen, name)] == 1).mean() for seen in (few, many)]
         assert shares[0] == pytest.approx(shares[1], rel=0.2, abs=2e-3)
 
 
@@ -87,13 +87,9 @@ def test_fewer_rays_bring_as_much_light(rays):
     camera = look_at((-1.2, 0, 0.4), (0.1, 0, 0))
     few, many = (
         np.mean([seen_by(lit_wall(), camera, seed=seed, rays=n)[0].bounced for seed in range(60)])
-        for n in (rays, CELL_RAYS)
+        for n in (rays, MOST_RAYS)
     )
     assert few == pytest.approx(many, rel=0.05) and many > 0
-
-
-def test_rays_go_with_the_samples_of_lights():
-    assert [rays_beside(n) for n in (1, 2, 3, 4, 5, 16, 100)] == [1, 2, 3, 4, 4, 4, 4]
 
 
 def test_pixels_at_an_outline_send_as_many_rays_as_others():
@@ -103,7 +99,7 @@ def test_pixels_at_an_outline_send_as_many_rays_as_others():
     hits = on_floor.reshape(SIDE, 2, SIDE, 2).sum((1, 3))
     seen, _ = seen_by(scene, camera, points=2)
     assert ((hits > 0) & (hits < 4)).sum() > SIDE / 2
-    assert (seen.diffuse[::2, ::2][hits > 0] != NOWHERE).mean() > 0.98
+    assert (seen.diffuse[hits > 0] != NOWHERE).mean() > 0.98
 
 
 def test_the_same_seed_gives_the_same_rays():
@@ -204,7 +200,7 @@ def test_rays_take_turns_with_many_lights_whose_light_is_still_the_sum_of_theirs
     sampler, seen = LightSampler(scene), first_hit(scene, camera, FOV, SIDE, SIDE)
     places = find_cells(sampler)[1]
     whole, *parts = (
-        with_cells(seen, camera, FOV, of, places).cells.bounced for of in (sampler, *map(sampler.only, sampler.names))
+        see_cells(seen, camera, FOV, of, places).bounced for of in (sampler, *map(sampler.only, sampler.names))
     )
     np.testing.assert_allclose(sum(parts), whole, rtol=1e-3, atol=1e-6)
 

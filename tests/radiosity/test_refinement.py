@@ -4,9 +4,8 @@ import math
 
 import pytest
 import torch
-from networks import network
 
-from rfpp.radiosity.refinement import Refinement, Unrefined
+from rfpp.radiosity.refinement import Refinement
 
 FOV = torch.tensor([40.0, 60.0])
 
@@ -92,9 +91,3 @@ def test_what_counts_of_places_is_how_large_a_pixel_is_there():
     torch.testing.assert_close(net(radiance, turned, FOV), net(radiance, surfaces, FOV))
     assert not torch.allclose(net(radiance, farther, FOV), net(radiance, surfaces, FOV))
     torch.testing.assert_close(net(radiance, farther, narrower), net(radiance, surfaces, FOV), rtol=1e-4, atol=1e-5)
-
-
-def test_a_network_without_one_needs_no_more_of_the_gbuffer():
-    net = network()
-    assert isinstance(net.refinement, Unrefined)
-    assert net.gbuffer_channels == net.decoder.gbuffer_channels
