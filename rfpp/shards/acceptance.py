@@ -75,7 +75,7 @@ class Acceptance:
         seen = rays.first_hit(c2w, camera.fov, self.resolution)
         if not seen.hit.any() or seen.hit.mean() < self.min_coverage:
             return EMPTY
-        lit = rays.lit(seen, c2w, camera.fov, self.light_samples, seed=0)
+        lit = rays.with_direct_light(seen, c2w, camera.fov, self.light_samples, seed=0)
         reached = lit.light.diffuse.any(axis=-1)[lit.hit].mean() >= self.min_lit
         bright = direct_radiance(lit, rays.triangles.material).mean() >= self.min_radiance
         return None if reached and bright else UNLIT

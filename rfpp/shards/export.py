@@ -66,7 +66,6 @@ def export_h5(sample: SceneSample, folder: Path) -> list[Path]:
         "direct_diffuse": np.stack([g.light.diffuse for g in sample.gbuffers]).astype(np.float16),
         "direct_glossy": np.stack([g.light.glossy for g in sample.gbuffers]).astype(np.float16),
         "reflected_light": np.stack([g.reflection.light for g in sample.gbuffers]).astype(np.float16),
-        "reflected_albedo": np.stack([g.reflection.albedo for g in sample.gbuffers]).astype(np.float16),
     }
     others = {f"gbuffer/{name}": array for name, array in gbuffers.items()}
     return [save_h5(packed, folder / f"{sample.key}.h5", sample.images, others)]
@@ -160,7 +159,6 @@ def _layers(sample: SceneSample, view: int) -> dict[str, np.ndarray]:
         "direct_diffuse": gbuffer.light.diffuse,
         "direct_glossy": gbuffer.light.glossy,
         "reflected_light": gbuffer.reflection.light,
-        "reflected_albedo": gbuffer.reflection.albedo,
         "normal": gbuffer.normal,
         **{name: channel(gbuffer, material, sample.fov[view], name) for name in ("albedo", "specular")},
         "roughness": channel(gbuffer, material, sample.fov[view], "roughness")[..., 0],

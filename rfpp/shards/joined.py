@@ -44,10 +44,9 @@ class JoinedSplit(Dataset):
         index: int,
         choose: ViewChoice | None = None,
         channels: Collection[str] = tuple(CHANNELS),
-        by_light: bool = True,
     ) -> SceneSample:
         part, inside = self._locate(index)
-        return part.read(inside, choose, channels, by_light)
+        return part.read(inside, choose, channels)
 
     def key(self, index: int) -> str:
         part, inside = self._locate(index)
@@ -56,10 +55,6 @@ class JoinedSplit(Dataset):
     def triangles(self, index: int) -> int:
         part, inside = self._locate(index)
         return part.triangles(inside)
-
-    def bounces(self, index: int) -> int | None:
-        part, inside = self._locate(index)
-        return part.bounces(inside)
 
     def _locate(self, index: int) -> tuple[ShardSplit, int]:
         if not 0 <= index < len(self):

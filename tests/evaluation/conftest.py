@@ -34,8 +34,7 @@ POSES = [look_at((0.9, 0.2, 0.9)), look_at((-0.3, -1.0, 0.8))]
 def _sample(key: str, seed: int, brightness: float) -> SceneSample:
     triangles = still_life(seed)
     fov = np.full(len(POSES), 45.0, np.float32)
-    rays = SceneRays(triangles)
-    gbuffers = rays.gbuffers(np.stack(POSES), fov, SIZE, 1, np.random.SeedSequence(0))
+    gbuffers = SceneRays(triangles).gbuffers(np.stack(POSES), fov, SIZE, 1, np.random.SeedSequence(0))
     albedo = [stack_channels(g, triangles.material, 45.0, ["albedo"]).transpose(1, 2, 0) for g in gbuffers]
     return SceneSample(
         key=key,
@@ -44,8 +43,6 @@ def _sample(key: str, seed: int, brightness: float) -> SceneSample:
         fov=fov,
         images=(brightness * np.stack(albedo)).astype(np.float16).astype(np.float32),
         gbuffers=gbuffers,
-        object_light=rays.object_light(),
-        cells=rays.cells,
         meta={},
     )
 
