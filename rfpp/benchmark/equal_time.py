@@ -13,7 +13,6 @@ import numpy as np
 from jaxtyping import Float
 
 from rfpp.benchmark.csv_rows import Row
-from rfpp.benchmark.exhibits import SampledScene, SceneFile
 from rfpp.benchmark.methods import ByCycles, ByRenderer, errors
 from rfpp.files import write_atomically
 from rfpp.inference.references import Traced
@@ -28,7 +27,7 @@ _NEXT_VIEW, _ARC = 5.0, 12.0
 
 def measure(
     checkpoint: str,
-    exhibits: Sequence[SceneFile | SampledScene],
+    exhibits: Mapping[str, PackedScene],
     resolution: int,
     samplings: Sequence[Mapping[str, int]],
     samples: Sequence[int],
@@ -46,7 +45,7 @@ def measure(
 
     Args:
         checkpoint: Name or path that `Renderer.load` accepts.
-        exhibits: Scenes.
+        exhibits: Title → scene.
         resolution: Pixels along both sides.
         samplings: Sampling settings of `Renderer.render`, one method each.
         samples: Sample counts of Cycles, one method each.
@@ -57,7 +56,7 @@ def measure(
         cache: Folder of references, which are rendered once.
         progress: Called with (turns taken, all turns).
     """
-    scenes = [exhibit.scene() for exhibit in exhibits]
+    scenes = list(exhibits.values())
     references = [_reference(scene, resolution, converged, Path(cache))[0] for scene in scenes]
     name = Path(checkpoint).name
     methods: dict[str, tuple[ByRenderer | ByCycles, Row]] = {
@@ -77,10 +76,10 @@ def measure(
     arc_references = [_reference(arc, animation["resolution"], arc_settings, Path(cache)) for arc in arcs]
     for taken, (name, (method, columns)) in enumerate(methods.items(), start=len(turns) + 1):
         animations = method([[arc] for arc in arcs], animation["resolution"]) if animation else []
-        for place, (exhibit, reference) in enumerate(zip(exhibits, references, strict=True)):
+        for place, (title, reference) in enumerate(zip(exhibits, references, strict=True)):
             rounds_of_scene = [turn[place] for turn in results[name]]
             seconds = [median(s for _, s in traced) for traced in zip(*rounds_of_scene, strict=True)]
-            row: Row = {"scene": exhibit.title, "method": name, **columns, "resolution": resolution}
+            row: Row = {"scene": title, "method": name, **columns, "resolution": resolution}
             row |= dict(zip(("first_s", "view_s", "edit_s"), seconds, strict=True))
             row |= errors(rounds_of_scene[0][0][0][0], reference)
             if animation:

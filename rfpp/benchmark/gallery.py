@@ -7,15 +7,15 @@ from dataclasses import replace
 from pathlib import Path
 
 from rfpp.benchmark.csv_rows import Row
-from rfpp.benchmark.exhibits import SampledScene, SceneFile
 from rfpp.benchmark.methods import ByCycles, ByRenderer, errors
 from rfpp.imaging.panels import Picture, error_map, panel, save_picture, tone_mapped
 from rfpp.reference.cycles import CyclesSettings
+from rfpp.scene.packed import PackedScene
 
 
 def measure(
     checkpoint: str,
-    exhibits: Sequence[SceneFile | SampledScene],
+    exhibits: Mapping[str, PackedScene],
     resolution: int,
     reference: CyclesSettings,
     cycles: CyclesSettings,
@@ -30,7 +30,7 @@ def measure(
 
     Args:
         checkpoint: Name or path that `Renderer.load` accepts.
-        exhibits: Scenes.
+        exhibits: Title → scene.
         resolution: Pixels along both sides.
         reference: Settings of the reference, without a denoiser: its errors would be shared by the compared images.
         cycles: Settings of the compared Cycles images, except the samples.
@@ -39,7 +39,7 @@ def measure(
         progress: Called with (images rendered, all images).
     """
     name = Path(checkpoint).name
-    scenes = [[exhibit.scene()] for exhibit in exhibits]
+    scenes = [[scene] for scene in exhibits.values()]
     methods = {"renderer": ByRenderer(checkpoint, {}), "reference": ByCycles(reference)}
     methods |= {count: ByCycles(replace(cycles, samples=count)) for count in samples}
     results = {}
@@ -49,12 +49,12 @@ def measure(
     headings = ("Cycles converged", name, f"error of {name}", "Cycles in the same time", "error of Cycles")
     columns: dict[str, list[Picture]] = {heading: [] for heading in headings}
     captions = []
-    for place, (exhibit, [scene]) in enumerate(zip(exhibits, scenes, strict=True)):
+    for place, (title, scene) in enumerate(exhibits.items()):
         (image, seconds), (truth, reference_s) = results["renderer"][place], results["reference"][place]
         count = affordable({count: results[count][place][1] for count in samples}, seconds)
         traced, cycles_s = results[count][place]
         row = {
-            "scene": exhibit.title,
+            "scene": title,
             "triangles": len(scene.triangles),
             "objects": scene.triangles.num_objects,
             "resolution": resolution,

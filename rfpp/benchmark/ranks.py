@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from statistics import median
+from typing import Any
 
 import hydra
 import numpy as np
@@ -131,7 +132,7 @@ def _rank(
     scenes: list[SceneViews],
     partitions: Sequence[Dealing],
     rounds: int,
-    results: multiprocessing.SimpleQueue,
+    results: Any,  # queue of one list of seconds per round
 ) -> None:
     torch.set_num_threads(1)
     warnings.filterwarnings("ignore", message="Grad strides do not match")

@@ -14,11 +14,11 @@ from rfpp.inference.references import Traced
 from rfpp.metrics.image import log_l1, mape
 from rfpp.reference.cycles import CyclesSettings
 from rfpp.scene.packed import pack
-from rfpp.scene.sampling.family import SceneFamily
+from rfpp.shards.job import SceneSource
 
 
 def measure(
-    families: Mapping[str, SceneFamily],
+    families: Mapping[str, SceneSource],
     settings: Mapping[str, CyclesSettings],
     converged: CyclesSettings,
     scenes: int,

@@ -62,8 +62,8 @@ def measure(
                     done += 1
                     progress(done, total)
             manifest = Manifest.load(root)
-        for count, module in modules.items():
-            yield {"data": name, **_figures(manifest, module, batches * module.scenes_per_step, seconds[count])}
+            for count, module in modules.items():
+                yield {"data": name, **_figures(manifest, module, batches * module.scenes_per_step, seconds[count])}
 
 
 def _figures(manifest: Manifest, datamodule: SceneDataModule, scenes: int, seconds: Sequence[Seconds]) -> Row:

@@ -119,11 +119,9 @@ def measure(
     """
     wanted = points(groups, case, list(tasks), list(networks))
     shapes = {key: network("meta") for key, network in networks.items()}
-    for point, key in ((point, key) for point in wanted for key in point.networks):
-        if point.case.resolution % (patch := shapes[key].patch_size):
-            raise UserError(
-                f"resolution {point.case.resolution} does not divide into patches of {patch} pixels ({key})"
-            )
+    for size, key in {(point.case.resolution, key) for point in wanted for key in point.networks}:
+        if size % (patch := shapes[key].patch_size):
+            raise UserError(f"resolution {size} does not divide into {networks[key].name}'s patches of {patch}")
     earlier = read_rows(Path(finished), "cost", COLUMNS) if finished and Path(finished).exists() else []
     yield from earlier
     setting.apply()
@@ -154,20 +152,9 @@ def measure(
     for point in missing:
         task = tasks[point.task]
         results = {key: _Result([], OK) for key in point.networks}
-        with ExitStack() as stack:
-            workers = {
-                key: stack.enter_context(
-                    Worker(networks[key], task, point.case, point.compiled, setting, rounds.timeout)
-                )
-                for key in point.networks
-            }  # fmt: skip
-            for key, worker in workers.items():  # before any turn, which preparing would disturb
-                results[key].attempt(worker.ready)
-            for key in (1 + rounds.count) * point.networks:
-                if results[key].goes_on(task.quantities[-1], rounds.enough_seconds):
-                    results[key].attempt(workers[key].turn)
-                taken += 1
-                progress(taken, total)
+        for _ in _turns(networks, point, task, setting, rounds, results):
+            taken += 1
+            progress(taken, total)
         flops = {key: _flops(shapes[key], task, point.case) for key in results}
         for quantity in task.quantities:
             rows = {key: _figures(result, flops[key], quantity, task, setting) for key, result in results.items()}
@@ -183,9 +170,6 @@ class _Result:
     turns: list[Turn]
     status: str
 
-    def goes_on(self, quantity: str, enough_seconds: float | int) -> bool:
-        return self.status == OK and sum(turn.seconds[quantity] for turn in self.turns) <= enough_seconds
-
     def attempt(self, execute: Callable[[], Turn | None]) -> None:
         """Add a turn, or the reason why there is none."""
         try:
@@ -193,6 +177,30 @@ class _Result:
                 self.turns.append(turn)
         except NotMeasuredError as reason:
             self.status = str(reason)
+
+
+def _turns(
+    networks: Mapping[str, Untrained],
+    point: Point,
+    task: Task,
+    setting: Setting,
+    rounds: Rounds,
+    results: Mapping[str, _Result],
+) -> Iterator[None]:
+    """Let networks take turns and add these to the results; one that fails does not stop the others."""
+    with ExitStack() as stack:
+        workers = {
+            key: stack.enter_context(Worker(networks[key], task, point.case, point.compiled, setting, rounds.timeout))
+            for key in point.networks
+        }
+        for key, worker in workers.items():  # before any turn, which preparing would disturb
+            results[key].attempt(worker.ready)
+        for key in (1 + rounds.count) * point.networks:
+            result = results[key]
+            spent = sum(turn.seconds[task.quantities[-1]] for turn in result.turns)
+            if result.status == OK and spent <= rounds.enough_seconds:
+                result.attempt(workers[key].turn)
+            yield
 
 
 def _flops(network: nn.Module, task: Task, case: Case) -> dict[str, float]:
