@@ -83,12 +83,12 @@ def _times(rows: Rows, panels: dict[str, tuple[str, tuple[str, ...]]]) -> Table:
 def _draw(axis: Axes, rows: Rows, seconds: str, error: str) -> None:
     """Draw a line of Cycles and stars of the renderer for each scene."""
     scenes = dict.fromkeys(row["scene"] for row in rows)
-    for scene, colour in zip(scenes, plt.get_cmap("tab10").colors, strict=False):
+    for scene, color in zip(scenes, plt.get_cmap("tab10").colors, strict=False):
         for is_cycles, style, size, name in [(True, ".-", 6, "Cycles, denoised"), (False, "*:", 13, "ours")]:
             found = [row for row in rows if row["scene"] == scene and _is_cycles(row) == is_cycles]
             points = sorted((float(row[seconds]), float(row[error])) for row in found)
             label = f"{scene}: {name}"
-            axis.plot(*zip(*points, strict=True), style, color=colour, markersize=size, linewidth=1, label=label)
+            axis.plot(*zip(*points, strict=True), style, color=color, markersize=size, linewidth=1, label=label)
     axis.set(xscale="log", yscale="log", xlabel="seconds", ylabel=_LABELS[error])
     for side in (axis.xaxis, axis.yaxis):
         side.set_major_locator(LogLocator(subs=(1, 2, 5)))

@@ -36,11 +36,10 @@ class ByRenderer:
     sampling: Mapping[str, int]
 
     def __call__(self, sequences: Sequence[Sequence[PackedScene]], resolution: int) -> list[list[Traced]]:
-        Renderer.load(self.checkpoint).render(sequences[-1][0].views([0]), resolution, **self.sampling)
-        results = []
+        loaded, results = Renderer.load(self.checkpoint), []
+        loaded.render(sequences[-1][0].views([0]), resolution, **self.sampling)  # warms up
         for sequence in sequences:
-            renderer = Renderer.load(self.checkpoint)  # its caches hold nothing of other scenes
-            traced = []
+            renderer, traced = loaded.fresh(), []  # its caches hold nothing of other scenes
             for scene in sequence:
                 begin = time.perf_counter()
                 images = renderer.render(scene, resolution, **self.sampling)

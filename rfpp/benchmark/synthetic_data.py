@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.ndimage import gaussian_filter
 
-from rfpp.gbuffer.first_hit import camera_caster, channel, first_hit
+from rfpp.raycast.first_hit import camera_caster, channel, first_hit
 from rfpp.reference.cycles import CyclesSettings
 from rfpp.reference.farm import RenderFarm
 from rfpp.scene.triangles import SceneTriangles

@@ -17,7 +17,7 @@ from rfpp.evaluation.measuring.evaluation_file import Evaluation
 from rfpp.evaluation.measuring.records import ImageRecord, SceneRecord, scene_records
 from rfpp.evaluation.report.picture_archive import write_pictures
 from rfpp.evaluation.tables.paper import PAPER_METRICS
-from rfpp.gbuffer.first_hit import stack_channels
+from rfpp.raycast.first_hit import stack_channels
 from rfpp.imaging.radiance import log_encode
 from rfpp.metrics.image import METRICS
 from rfpp.model.renderformer_pp import Rendering
@@ -34,8 +34,7 @@ POSES = [look_at((0.9, 0.2, 0.9)), look_at((-0.3, -1.0, 0.8))]
 def _sample(key: str, seed: int, brightness: float) -> SceneSample:
     triangles = still_life(seed)
     fov = np.full(len(POSES), 45.0, np.float32)
-    rays = SceneRays(triangles)
-    gbuffers = rays.gbuffers(np.stack(POSES), fov, SIZE, 1, np.random.SeedSequence(0))
+    gbuffers = SceneRays(triangles).gbuffers(np.stack(POSES), fov, SIZE, 1, np.random.SeedSequence(0))
     albedo = [stack_channels(g, triangles.material, 45.0, ["albedo"]).transpose(1, 2, 0) for g in gbuffers]
     return SceneSample(
         key=key,
@@ -44,8 +43,6 @@ def _sample(key: str, seed: int, brightness: float) -> SceneSample:
         fov=fov,
         images=(brightness * np.stack(albedo)).astype(np.float16).astype(np.float32),
         gbuffers=gbuffers,
-        object_light=rays.object_light(),
-        cells=rays.cells,
         meta={},
     )
 

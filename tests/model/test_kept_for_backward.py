@@ -4,8 +4,8 @@ import pytest
 import torch
 import torch.nn.functional as F
 
-from rfpp.model.block import SwiGLU
 from rfpp.model.dpt import ResidualConvUnit
+from rfpp.model.layers.block import SwiGLU
 
 
 def plain_swiglu(layer: SwiGLU, x: torch.Tensor) -> torch.Tensor:

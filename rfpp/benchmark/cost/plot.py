@@ -22,7 +22,7 @@ CASE = {"objects": "50", "views": "1", "resolution": "256", "scenes": "1", "comp
 #: Range of triangles in which the exponent is fitted.
 FITTED = (10_000, 80_000)
 
-_COLOURS = ("tab:red", "tab:blue")
+_COLORS = ("tab:red", "tab:blue")
 #: Panel → unit, column, and line style of each quantity.
 _PANELS = {
     "View-independent stage": ("s", "seconds", {"encode": "-"}),
@@ -76,14 +76,14 @@ def figure(rows: Rows) -> Figure:
     drawn, axes = plt.subplots(2, 2, figsize=(11, 8), layout="constrained", sharex=True)
     networks = list(dict.fromkeys(row["network"] for row in rows))
     for axis, (title, (unit, column, lines)) in zip(axes.flat, _PANELS.items(), strict=True):
-        for name, colour in zip(networks, _COLOURS, strict=False):
+        for name, color in zip(networks, _COLORS, strict=False):
             for quantity, style in lines.items():
                 triangles, values = curve(rows, name, quantity, column)
                 label = f"{name}, {_LABELS[quantity]}"
-                axis.plot(triangles, values, style, color=colour, marker="o", markersize=4, label=label)
+                axis.plot(triangles, values, style, color=color, marker="o", markersize=4, label=label)
                 failed = triangles[np.isnan(values)]
                 height = np.full(len(failed), 0.97)
-                axis.plot(failed, height, "x", color=colour, transform=axis.get_xaxis_transform())
+                axis.plot(failed, height, "x", color=color, transform=axis.get_xaxis_transform())
         axis.set(title=title, ylabel=unit, xscale="log", yscale="log")
         axis.grid(which="both", alpha=0.2)
         if len(lines) > 2:  # room for the legend

@@ -23,9 +23,9 @@ from rfpp.checkpoint.network_building import build
 from rfpp.errors import UserError
 from rfpp.inference.object_encoder import ObjectEncoder
 from rfpp.losses.rendering import RenderingLoss
-from rfpp.model.matrix_precision import convert_blocks
+from rfpp.model.hoct import ObjectTokens
+from rfpp.model.layers.matrix_precision import convert_blocks
 from rfpp.model.renderformer_pp import RenderFormerPP
-from rfpp.model.tokenizer import ObjectTokens
 from rfpp.training.flops import training_flops
 from rfpp.training.module import decay_groups
 
@@ -121,7 +121,8 @@ class Inference:
             with setting.autocast():
                 begin = setting.now()
                 if by_object:  # a new encoder, which has no tokens cached
-                    scenes = ObjectEncoder(network, torch.device(setting.where)).encode(on_cpu)
+                    encoder = ObjectEncoder(network, torch.device(setting.where))
+                    scenes = network.transported(*encoder.tokenize(on_cpu))
                 else:
                     scenes = network.encode(batch)
                 encoded = setting.now()
