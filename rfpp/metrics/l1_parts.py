@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from rfpp.metrics.baselines import DirectLightAlone
+from rfpp.metrics.baselines import DirectLight
 
 Images = Float[Tensor, "n 3 h w"]
 PerImage = Float[Tensor, " n"]
@@ -29,7 +29,7 @@ def l1_parts(prediction: Images, reference: Images, gbuffer: Mapping[str, Tensor
         gbuffer: the channels of the baselines and of `CHANNELS`, [N, 3 or 1, H, W] each.
     """
     error = (prediction - reference).abs()
-    direct = DirectLightAlone().predict(gbuffer).float()
+    direct = DirectLight().predict(gbuffer).float()
     share = (direct / reference.clamp_min(1e-9)).clamp(0, 1)
     roughness = torch.where(gbuffer["depth"] > 0, gbuffer["roughness"], 1.0)
     smooth, rough = roughness < SMOOTH, roughness >= GLOSSY
