@@ -27,7 +27,7 @@ def ablation_growth(network: nn.Module, split: ShardSplit, device: torch.device,
         scenes: Maximum number of scenes; the first ones of the split are used.
 
     Returns:
-        Growth by ablation; empty for a single scene.
+        Growth by ablation; empty for fewer than two scenes.
     """
     errors = AblationErrors()
     for batch in _batches(network, split, device, scenes):
@@ -46,10 +46,10 @@ def transport_convergence(
 
     Returns:
         Means over scenes after k = 0 … 2K applications: "residual", the mean |⁽ᵏ⁾F_s − T(⁽ᵏ⁾F_s + F_e)|² of the
-        tokens, and "log_l1" of the decoded image. Empty for a network without an operator.
+        tokens, and "log_l1" of the decoded image. Empty for a network without an operator, or without scenes.
     """
     count = 2 * network.iterations
-    if not count:
+    if not count or not scenes:
         return {}
     traces = []
     for batch in _batches(network, split, device, scenes):

@@ -28,7 +28,7 @@ def test_growth_uses_the_first_scenes_of_the_split(test_split) -> None:
     unmodified = log_l1(net(second).log_radiance, second.image)
     for name, image in ablated(net, second, TokenFeatures.of(net, first)).items():
         assert growth[name] == pytest.approx((log_l1(image, second.image) / unmodified - 1).item(), rel=1e-3, abs=1e-5)
-    assert ablation_growth(net, test_split, CPU, scenes=1) == {}
+    assert ablation_growth(net, test_split, CPU, scenes=1) == ablation_growth(net, test_split, CPU, scenes=0) == {}
 
 
 @pytest.mark.parametrize("overrides", WITH_OPERATOR)
@@ -57,6 +57,6 @@ def test_the_trace_is_the_mean_over_scenes(test_split) -> None:
     assert one["log_l1"] != three["log_l1"]
 
 
-def test_a_network_without_an_operator_has_no_trace(test_split) -> None:
-    net = network("experiment=[large_scale,paper/renderformer]")
-    assert transport_convergence(net, test_split, CPU, scenes=1) == {}
+@pytest.mark.parametrize(("experiment", "scenes"), [("[large_scale,paper/renderformer]", 1), ("large_scale", 0)])
+def test_without_an_operator_or_scenes_there_is_no_trace(test_split, experiment, scenes) -> None:
+    assert transport_convergence(network(f"experiment={experiment}"), test_split, CPU, scenes) == {}
