@@ -42,7 +42,10 @@ def transport_convergence(
     """Apply the transport operator more often than in training.
 
     Args:
-        network, split, device, scenes: See `ablation_growth`.
+        network: RenderFormer++ or RenderFormer in evaluation mode on `device`.
+        split: Split with references.
+        device: Device of the network.
+        scenes: Maximum number of scenes; the first ones of the split are used.
 
     Returns:
         Means over scenes after k = 0 … 2K applications: "residual", the mean |⁽ᵏ⁾F_s − T(⁽ᵏ⁾F_s + F_e)|² of the

@@ -44,6 +44,7 @@ class Run:
 
     @property
     def seeds(self) -> list[int]:
+        """Seeds of the runs."""
         return sorted({evaluation.seed for evaluation in self.evaluations})
 
 
