@@ -32,17 +32,6 @@ def add_geometry(bpy: ModuleType, triangles: SceneTriangles) -> None:
                 bpy.context.collection.objects.link(obj)
 
 
-def emission_nodes(bpy: ModuleType) -> dict[int, list]:
-    """What makes objects emit that `add_geometry` has put there: place in the scene, ascending → shader nodes."""
-    nodes: dict[int, list] = {}
-    for obj in bpy.context.collection.objects:
-        for material in obj.data.materials:
-            lamps = [node for node in material.node_tree.nodes if node.bl_idname == "ShaderNodeEmission"]
-            if lamps:
-                nodes.setdefault(obj.pass_index - 1, []).extend(lamps)
-    return dict(sorted(nodes.items()))
-
-
 def _check_geometry(triangles: SceneTriangles) -> None:
     """Reject geometry that makes Blender crash or render incorrectly."""
     edges = triangles.positions[:, 1:] - triangles.positions[:, :1]

@@ -26,7 +26,7 @@ from jaxtyping import Float
 
 from rfpp.errors import MissingDependencyError, UserError
 from rfpp.imaging.exr import ImageFileError, read_exr
-from rfpp.reference.blender_scene import add_geometry, emission_nodes
+from rfpp.reference.blender_scene import add_geometry
 from rfpp.scene.triangles import SceneTriangles
 
 #: What `render_passes` can return: our name → (Blender's switch, layer name in its files, channels).
@@ -42,9 +42,6 @@ PASSES: dict[str, tuple[str, str, str]] = {
     "glossy_indirect": ("use_pass_glossy_indirect", "GlossInd", "RGB"),
     "glossy_color": ("use_pass_glossy_color", "GlossCol", "RGB"),
 }
-
-#: Cycles takes seeds of 31 bits.
-_SEEDS = 1 << 31
 
 _SYSTEM_LIBRARIES = "libxrender1 libxfixes3 libxi6 libxkbcommon0 libsm6 libgl1"
 
@@ -120,53 +117,6 @@ def render(
         MissingDependencyError: Blender is not installed or lacks a system library.
     """
     return render_passes(triangles, c2w, fov, height, width, settings, ["combined"])["combined"]
-
-
-def render_lights(
-    triangles: SceneTriangles,
-    c2w: Float[np.ndarray, "v 4 4"],
-    fov: Float[np.ndarray, " v"],
-    height: int,
-    width: int,
-    settings: CyclesSettings,
-) -> Float[np.ndarray, "l v h w 3"]:
-    """Linear RGB radiance of every view as each light alone lights it, in the order of `triangles.light_names`.
-
-    Lights that do not shine keep their reflectance, so that the sum over lights is the image of all. Each has noise of
-    its own and is denoised by itself, where Cycles' light groups, one render for all, would leave theirs in: it
-    denoises nothing but the combined image. So the same settings cost as many times as much as there are lights.
-
-    Args: as `render`.
-
-    Raises:
-        UserError: settings that clamp, under which light does not add up.
-        SceneError, MissingDependencyError: like `render`.
-    """
-    if settings.clamp_direct or settings.clamp_indirect:
-        raise UserError(
-            f"reference.clamp_direct={settings.clamp_direct}, clamp_indirect={settings.clamp_indirect}: clamped light "
-            "does not add up, so references light by light need 0: use reference=unclamped"
-        )
-    bpy = _blender()
-    with _quiet(), _memory_folder() as folder:
-        _configure(_empty_scene(bpy), settings, height, width)
-        _enable_passes(bpy.context.view_layer, ["combined"])
-        add_geometry(bpy, triangles)
-        lamps = emission_nodes(bpy)
-        strengths = {index: [lamp.inputs["Strength"].default_value for lamp in of] for index, of in lamps.items()}
-        images = []
-        for number, shining in enumerate(lamps):
-            bpy.context.scene.cycles.seed = (settings.seed + number) % _SEEDS
-            for index, of_object in lamps.items():
-                for lamp, strength in zip(of_object, strengths[index], strict=True):
-                    lamp.inputs["Strength"].default_value = strength if index == shining else 0.0
-            images.append(
-                [
-                    _render_view(bpy, pose, float(angle), folder / f"{view}.exr", ["combined"])["combined"]
-                    for view, (pose, angle) in enumerate(zip(c2w, fov, strict=True))
-                ]
-            )
-    return np.array(images, np.float32).reshape(len(lamps), len(c2w), height, width, 3)
 
 
 def render_passes(

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, fields
 
 from rfpp.errors import UserError
-from rfpp.gbuffer.direct_light import direct_radiance
+from rfpp.raycast.direct_light import direct_radiance
 from rfpp.scene.camera import camera_to_world
 from rfpp.scene.spec import Camera
 from rfpp.shards.scene_rays import SceneRays
@@ -75,7 +75,7 @@ class Acceptance:
         seen = rays.first_hit(c2w, camera.fov, self.resolution)
         if not seen.hit.any() or seen.hit.mean() < self.min_coverage:
             return EMPTY
-        lit = rays.lit(seen, c2w, camera.fov, self.light_samples, seed=0)
+        lit = rays.with_direct_light(seen, c2w, camera.fov, self.light_samples, seed=0)
         reached = lit.light.diffuse.any(axis=-1)[lit.hit].mean() >= self.min_lit
         bright = direct_radiance(lit, rays.triangles.material).mean() >= self.min_radiance
         return None if reached and bright else UNLIT

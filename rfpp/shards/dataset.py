@@ -12,7 +12,7 @@ from pathlib import Path
 from torch.utils.data import Dataset
 
 from rfpp.errors import ShardError
-from rfpp.gbuffer.first_hit import CHANNELS
+from rfpp.raycast.first_hit import CHANNELS
 from rfpp.shards.cache import ShardCache
 from rfpp.shards.index import ListedShard, ShardIndex
 from rfpp.shards.manifest import Manifest
@@ -68,13 +68,12 @@ class ShardSplit(Dataset):
         index: int,
         choose: ViewChoice | None = None,
         channels: Collection[str] = tuple(CHANNELS),
-        by_light: bool = True,
     ) -> SceneSample:
         """The scene, or the requested parts of it (see `rfpp.shards.sample.decode`)."""
         shard, position = self._locate(index)
         opened, descriptor = self._opened(shard)
         entry = opened.samples[position]
-        return decode(entry.key, shard.members(self.manifest.root, descriptor, entry), choose, channels, by_light)
+        return decode(entry.key, shard.members(self.manifest.root, descriptor, entry), choose, channels)
 
     def key(self, index: int) -> str:
         """The key of a sample, without reading it."""
@@ -87,11 +86,6 @@ class ShardSplit(Dataset):
         if shard.file not in self._triangles:
             self._triangles[shard.file] = [entry.triangles for entry in self.manifest.index(shard).samples]
         return self._triangles[shard.file][position]
-
-    def bounces(self, index: int) -> int | None:
-        """Bounces in a scene's images (Cycles' `max_bounces`); None if not stated."""
-        reference = self.manifest.settings.get("reference")
-        return reference.get("max_bounces") if isinstance(reference, dict) else None
 
     def close(self) -> None:
         """Close all files; they are opened again when needed."""

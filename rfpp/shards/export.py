@@ -13,8 +13,8 @@ import numpy as np
 from jaxtyping import Float
 
 from rfpp.errors import SceneError, UserError
-from rfpp.gbuffer.direct_light import direct_radiance
-from rfpp.gbuffer.first_hit import channel, object_ids
+from rfpp.raycast.direct_light import direct_radiance
+from rfpp.raycast.first_hit import channel, object_ids
 from rfpp.imaging.exr import write_exr
 from rfpp.imaging.panels import save_picture, tone_mapped
 from rfpp.scene.io.renderformer_h5 import save_h5
@@ -66,7 +66,6 @@ def export_h5(sample: SceneSample, folder: Path) -> list[Path]:
         "direct_diffuse": np.stack([g.light.diffuse for g in sample.gbuffers]).astype(np.float16),
         "direct_glossy": np.stack([g.light.glossy for g in sample.gbuffers]).astype(np.float16),
         "reflected_light": np.stack([g.reflection.light for g in sample.gbuffers]).astype(np.float16),
-        "reflected_albedo": np.stack([g.reflection.albedo for g in sample.gbuffers]).astype(np.float16),
     }
     others = {f"gbuffer/{name}": array for name, array in gbuffers.items()}
     return [save_h5(packed, folder / f"{sample.key}.h5", sample.images, others)]
@@ -77,7 +76,7 @@ def export_exr(sample: SceneSample, folder: Path) -> list[Path]:
 
     Half precision, but float32 `depth` and `direct`. `triangle` and `object` count from 1, and 0 is nothing. `direct`
     is the radiance of the first bounce, the rest of the image came by more; other layers as in
-    `rfpp.gbuffer.first_hit.CHANNELS`.
+    `rfpp.raycast.first_hit.CHANNELS`.
     """
     return [
         write_exr(folder / f"{sample.key}.view{view}.exr", _layers(sample, view)) for view in range(len(sample.images))
@@ -160,7 +159,6 @@ def _layers(sample: SceneSample, view: int) -> dict[str, np.ndarray]:
         "direct_diffuse": gbuffer.light.diffuse,
         "direct_glossy": gbuffer.light.glossy,
         "reflected_light": gbuffer.reflection.light,
-        "reflected_albedo": gbuffer.reflection.albedo,
         "normal": gbuffer.normal,
         **{name: channel(gbuffer, material, sample.fov[view], name) for name in ("albedo", "specular")},
         "roughness": channel(gbuffer, material, sample.fov[view], "roughness")[..., 0],

@@ -19,7 +19,6 @@ from rfpp.scene.spec import Camera, Scene
 from rfpp.scene.triangles import SceneTriangles
 from rfpp.shards import tar
 from rfpp.shards.acceptance import EMPTY, UNLIT, Acceptance
-from rfpp.shards.light_layers import LightLayers
 from rfpp.shards.sample import SceneSample, encode
 from rfpp.shards.scene_rays import SceneRays
 
@@ -54,7 +53,6 @@ class DatasetSettings:
         splits: scenes in each split of `SPLIT_CODES`; "train_newviews" are the first training scenes, other cameras.
         scenes_per_shard: scenes in one tar.
         acceptance: which views are rendered.
-        by_light: whether references and known light are stored apart for each light, too.
     """
 
     name: str
@@ -66,7 +64,6 @@ class DatasetSettings:
     splits: Mapping[str, int]
     scenes_per_shard: int
     acceptance: Acceptance
-    by_light: bool
 
     def __post_init__(self) -> None:
         if not is_plain_name(self.name):
@@ -86,10 +83,7 @@ class DatasetSettings:
     def content(self) -> dict[str, Any]:
         """The settings that samples depend on, without location and number of samples."""
         values = dataclasses.asdict(self)
-        left_out = {"name", "root", "splits"}
-        if not self.by_light:  # so that data sets from before it existed are the same
-            left_out.add("by_light")
-        return {name: value for name, value in values.items() if name not in left_out}
+        return {name: value for name, value in values.items() if name not in ("name", "root", "splits")}
 
 
 @dataclass(frozen=True)
@@ -132,7 +126,7 @@ class SceneJob:
         reference: Cycles settings; the noise seed is replaced by one per sample.
         data: what a sample looks like and what makes one acceptable.
         fingerprint: of all settings, stored in each sample.
-        render, render_lights: with the signatures of those in `rfpp.reference.cycles`.
+        render: renders images; has the signature of `rfpp.reference.cycles.render`.
     """
 
     family: SceneSource
@@ -140,7 +134,6 @@ class SceneJob:
     data: DatasetSettings
     fingerprint: str
     render: Callable[..., np.ndarray]
-    render_lights: Callable[..., np.ndarray]
 
     def __call__(self, task: SceneTask) -> MadeScene:
         """Draw until all views are accepted, then render. Raises SceneError after too many attempts."""
@@ -152,8 +145,6 @@ class SceneJob:
             refused.clear()
             attempt, rays, cameras = self._accepted(task, task.split, [attempt], refused)
         triangles, (c2w, fov) = rays.triangles, poses(cameras)
-        apart = self._lights(task, attempt, rays, c2w, fov) if self.data.by_light else None
-        images = self._render(self.render, task, attempt, triangles, c2w, fov) if apart is None else apart.images.sum(0)
         light = self._seed(task.split, task.index, "light", attempt)
         redraws = {"scene_redraws": attempt, EMPTY: refused[EMPTY], UNLIT: refused[UNLIT]}
         sample = SceneSample(
@@ -161,12 +152,9 @@ class SceneJob:
             triangles=triangles,
             c2w=c2w,
             fov=fov,
-            images=images,
+            images=self._render(task, attempt, triangles, c2w, fov),
             gbuffers=rays.gbuffers(c2w, fov, self.data.resolution, self.data.light_samples, light),
-            object_light=rays.object_light(),
-            cells=rays.cells,
             meta=self._meta(task, cameras, redraws),
-            lights=apart,
         )
         return MadeScene(tar.pack(task.key, encode(sample)), len(triangles), triangles.num_objects, **redraws)
 
@@ -201,32 +189,14 @@ class SceneJob:
         cameras = self._seed(split, task.index, "cameras", attempt, camera_attempt)
         return np.random.default_rng(scene), np.random.default_rng(cameras)
 
-    def _lights(self, task: SceneTask, attempt: int, rays: SceneRays, c2w: np.ndarray, fov: np.ndarray) -> LightLayers:
-        """What each light alone brings; with the samples of all lights together, so that they add up."""
-        triangles, light = rays.triangles, self._seed(task.split, task.index, "light", attempt)
-        alone = [rays.lit_by(name) for name in triangles.light_names]
-        return LightLayers.of(
-            objects=np.unique(triangles.object_index[triangles.is_emissive]),
-            images=self._render(self.render_lights, task, attempt, triangles, c2w, fov),
-            gbuffers=[of.gbuffers(c2w, fov, self.data.resolution, self.data.light_samples, light) for of in alone],
-            object_light=[of.object_light() for of in alone],
-            cells=[of.cells for of in alone],
-        )
-
     def _render(
-        self,
-        render: Callable[..., np.ndarray],
-        task: SceneTask,
-        attempt: int,
-        triangles: SceneTriangles,
-        c2w: np.ndarray,
-        fov: np.ndarray,
+        self, task: SceneTask, attempt: int, triangles: SceneTriangles, c2w: np.ndarray, fov: np.ndarray
     ) -> np.ndarray:
         # Noise of its own for every sample: a pattern common to all images could be learned.
         seed = self._seed(task.split, task.index, "render", attempt, self.reference.seed).generate_state(1)[0]
         settings = dataclasses.replace(self.reference, seed=int(seed >> 1))  # Cycles takes 31 bits
         side = self.data.resolution
-        return render(triangles, c2w, fov, side, side, settings)
+        return self.render(triangles, c2w, fov, side, side, settings)
 
     def _seed(self, split: str, index: int, role: str, attempt: int, detail: int = 0) -> np.random.SeedSequence:
         return np.random.SeedSequence([self.data.seed, SPLIT_CODES[split], index, _ROLES[role], attempt, detail])

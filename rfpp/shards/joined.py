@@ -13,7 +13,7 @@ from pathlib import Path
 from torch.utils.data import Dataset
 
 from rfpp.errors import ShardError
-from rfpp.gbuffer.first_hit import CHANNELS
+from rfpp.raycast.first_hit import CHANNELS
 from rfpp.shards.cache import ShardCache
 from rfpp.shards.dataset import ShardSplit
 from rfpp.shards.manifest import Manifest
@@ -44,10 +44,9 @@ class JoinedSplit(Dataset):
         index: int,
         choose: ViewChoice | None = None,
         channels: Collection[str] = tuple(CHANNELS),
-        by_light: bool = True,
     ) -> SceneSample:
         part, inside = self._locate(index)
-        return part.read(inside, choose, channels, by_light)
+        return part.read(inside, choose, channels)
 
     def key(self, index: int) -> str:
         part, inside = self._locate(index)
@@ -56,10 +55,6 @@ class JoinedSplit(Dataset):
     def triangles(self, index: int) -> int:
         part, inside = self._locate(index)
         return part.triangles(inside)
-
-    def bounces(self, index: int) -> int | None:
-        part, inside = self._locate(index)
-        return part.bounces(inside)
 
     def _locate(self, index: int) -> tuple[ShardSplit, int]:
         if not 0 <= index < len(self):

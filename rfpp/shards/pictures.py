@@ -9,9 +9,9 @@ from typing import SupportsFloat
 import numpy as np
 from jaxtyping import UInt8
 
-from rfpp.gbuffer.direct_light import direct_radiance
-from rfpp.gbuffer.first_hit import DirectLight, GBuffer, camera_caster, channel, first_hit, object_ids
-from rfpp.gbuffer.raycast import RayCaster
+from rfpp.raycast.direct_light import direct_radiance
+from rfpp.raycast.first_hit import DirectLight, GBuffer, camera_caster, channel, first_hit, object_ids
+from rfpp.raycast.raycast import RayCaster
 from rfpp.imaging import panels
 from rfpp.scene.packed import PackedScene, pack
 from rfpp.scene.spec import Scene
@@ -74,7 +74,7 @@ def with_ambient(gbuffer: GBuffer, ambient: float) -> GBuffer:
 
 def _preview(scene: PackedScene, resolution: int) -> UInt8[np.ndarray, "h w 3"]:
     pose, fov, rays = scene.c2w[0], scene.fov[0], SceneRays(scene.triangles)
-    lit = rays.lit(rays.first_hit(pose, fov, resolution), pose, fov, _LIGHT_SAMPLES, seed=0)
+    lit = rays.with_direct_light(rays.first_hit(pose, fov, resolution), pose, fov, _LIGHT_SAMPLES, seed=0)
     return panels.tone_mapped(direct_radiance(with_ambient(lit, _AMBIENT), scene.triangles.material))
 
 

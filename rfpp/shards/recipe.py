@@ -91,16 +91,15 @@ class Recipe:
         data: DatasetSettings,
         groups: Mapping[str, Any],
         render: Callable[..., np.ndarray] = cycles.render,
-        render_lights: Callable[..., np.ndarray] = cycles.render_lights,
     ) -> Recipe:
         """Random scenes of a family.
 
         Args:
             groups: JSON-able account of family and reference.
-            render, render_lights: with the signatures of those in `rfpp.reference.cycles`.
+            render: Renders images; has the signature of `rfpp.reference.cycles.render`.
         """
         settings = _as_begun(Path(data.root), {"schema_version": SCHEMA_VERSION, "data": data.content(), **groups})
-        job = SceneJob(family, reference, data, fingerprint_of(settings), render, render_lights)
+        job = SceneJob(family, reference, data, fingerprint_of(settings), render)
         return cls(data.name, Path(data.root), data.splits, data.views, data.scenes_per_shard, settings, job)
 
     @cached_property

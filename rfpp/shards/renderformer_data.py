@@ -74,10 +74,7 @@ class Import:
 
         Raises:
             SceneError: naming a file that has no images, or not of the shape of the first.
-            UserError: light by light is wanted, which the files do not have.
         """
-        if data.by_light:
-            raise UserError(f"data.by_light: {self.folder} has images of all lights together: leave it away")
         views, resolution = self._common_shape()
         listing = "\n".join(f"{path.name} {path.stat().st_size}" for path in self.files)
         settings = {
@@ -154,9 +151,7 @@ class ImportJob:
         seed = np.random.SeedSequence(int.from_bytes(digest.digest()))
         rays = SceneRays(scene.triangles)
         gbuffers = rays.gbuffers(scene.c2w, scene.fov, images.shape[1], self.light_samples, seed)
-        sample = SceneSample(
-            task.key, scene.triangles, scene.c2w, scene.fov, images, gbuffers, rays.object_light(), rays.cells, meta
-        )
+        sample = SceneSample(task.key, scene.triangles, scene.c2w, scene.fov, images, gbuffers, meta)
         try:
             blocks = tar.pack(task.key, encode(sample))
         except ShardError as error:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
 
 import numpy as np
 from torch.utils.data import Dataset
 
 from rfpp.batch import SceneViews
-from rfpp.gbuffer.first_hit import stack_channels
+from rfpp.raycast.first_hit import stack_channels
 from rfpp.shards.dataset import ShardSplit
 from rfpp.shards.joined import JoinedSplit
 from rfpp.shards.sample import SceneSample, ViewChoice
@@ -26,8 +25,6 @@ def select_views(sample: SceneSample, views: Sequence[int], channels: Sequence[s
         fov=sample.fov[list(views)],
         gbuffer=np.stack(gbuffer),
         image=np.ascontiguousarray(sample.images[list(views)].transpose(0, 3, 1, 2)),
-        object_light=sample.object_light,
-        cells=sample.cells,
     )
 
 
@@ -36,17 +33,10 @@ def read_views(
     index: int,
     channels: Sequence[str],
     choose: ViewChoice | None = None,
-    relight: Callable[[SceneSample], SceneSample] | None = None,
 ) -> SceneViews:
-    """`select_views` of the scene at `index`; only what these views and channels need is decoded.
-
-    Args:
-        relight: gives the scene other lights, from the light of each of them.
-    """
-    sample = split.read(index, choose, channels, by_light=relight is not None)
-    if relight is not None:
-        sample = relight(sample)
-    return replace(select_views(sample, range(len(sample.fov)), channels), bounces=split.bounces(index))
+    """Return `select_views` of the scene at `index`, decoding only these views and channels."""
+    sample = split.read(index, choose, channels)
+    return select_views(sample, range(len(sample.fov)), channels)
 
 
 class AllViews(Dataset):

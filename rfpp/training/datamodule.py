@@ -18,7 +18,7 @@ from rfpp.shards.joined import JoinedManifest, JoinedSplit, Root, open_manifest,
 from rfpp.shards.manifest import Manifest
 from rfpp.shards.order import ShuffledOrder, leading
 from rfpp.shards.views import AllViews
-from rfpp.training.augmentation import ColourPermutation, LightMixing, RigidAugmentation
+from rfpp.training.augmentation import ColourPermutation, RigidAugmentation
 from rfpp.training.dealing import Dealing
 from rfpp.training.loader import SceneLoader, SkippingCorrupt, pack_readable
 from rfpp.training.parentage import end_with_parent
@@ -45,7 +45,6 @@ class SceneDataModule(L.LightningDataModule):
         skip_corrupt: leave a training scene that cannot be read out of its batch, with a warning, instead of
             stopping. Validation always stops: its numbers are compared.
         rigid_augmentation, colour_augmentation: of training draws, or None.
-        light_augmentation: the same, for data that hold the light of each light apart.
         workers: loader processes per device.
         seed: of data order, views and augmentation.
     """
@@ -65,7 +64,6 @@ class SceneDataModule(L.LightningDataModule):
         skip_corrupt: bool,
         rigid_augmentation: RigidAugmentation | None,
         colour_augmentation: ColourPermutation | None,
-        light_augmentation: LightMixing | None,
         workers: int,
         seed: int,
     ):
@@ -76,7 +74,6 @@ class SceneDataModule(L.LightningDataModule):
         self.training_scenes, self.validation_scenes = training_scenes, validation_scenes
         self.shuffle_shards, self.skip_corrupt = shuffle_shards, skip_corrupt
         self.rigid_augmentation, self.colour_augmentation = rigid_augmentation, colour_augmentation
-        self.light_augmentation = light_augmentation
         self.workers, self.seed = workers, seed
         self._steps_before = 0
 
@@ -132,7 +129,6 @@ class SceneDataModule(L.LightningDataModule):
             self.rigid_augmentation,
             self.colour_augmentation,
             self.seed,
-            self.light_augmentation,
         )
         if self.skip_corrupt:
             return self._loader(SkippingCorrupt(views), pack_readable, batch_sampler=batches)

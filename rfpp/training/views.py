@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from functools import partial
 from itertools import islice
 
 import numpy as np
@@ -14,7 +13,7 @@ from rfpp.shards.dataset import ShardSplit
 from rfpp.shards.joined import JoinedSplit
 from rfpp.shards.order import ShuffledOrder
 from rfpp.shards.views import read_views
-from rfpp.training.augmentation import ColourPermutation, LightMixing, RigidAugmentation
+from rfpp.training.augmentation import ColourPermutation, RigidAugmentation
 from rfpp.training.dealing import Dealing
 
 
@@ -27,7 +26,6 @@ class TrainingViews(Dataset):
         views_per_scene: views drawn without replacement from each scene's.
         rigid, colour: augmentations applied to each draw, or None.
         seed: of the draws.
-        lights: the same, of lights.
     """
 
     def __init__(
@@ -38,11 +36,9 @@ class TrainingViews(Dataset):
         rigid: RigidAugmentation | None,
         colour: ColourPermutation | None,
         seed: int,
-        lights: LightMixing | None = None,
     ):
         self.split, self.channels = split, tuple(channels)
         self.views_per_scene, self.rigid, self.colour, self.seed = views_per_scene, rigid, colour, seed
-        self.lights = lights
 
     def __getitem__(self, draw: tuple[int, int]) -> SceneViews:
         epoch, index = draw
@@ -52,7 +48,6 @@ class TrainingViews(Dataset):
             index,
             self.channels,
             lambda views: rng.permutation(views)[: self.views_per_scene].tolist(),
-            self.lights and partial(self.lights, rng=rng),
         )
         if self.rigid:
             chosen = self.rigid(chosen, rng)

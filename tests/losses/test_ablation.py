@@ -59,7 +59,8 @@ def test_a_decoder_that_ignores_tokens_is_unaffected():
 def test_no_operator_decodes_the_state_before_the_first_application():
     net = network(PAPER)
     batch = batch_for(net)
-    first, *_ = net.bounces(batch, 2)[0]
+    (scenes, *_), _ = net.transported_each(*net.tokenize(batch), 2)
+    first = net.view(scenes, batch.c2w, batch.fov, batch.gbuffer)
     image = ablated(net, batch, TokenFeatures.of(net, batch))[NO_OPERATOR]
     torch.testing.assert_close(image, first)
     assert not torch.allclose(image, net(batch).log_radiance, rtol=1e-3, atol=1e-5)

@@ -7,15 +7,13 @@ from small_data import make
 from rfpp.errors import ShardError
 from rfpp.shards.dataset import ShardSplit
 from rfpp.shards.joined import JoinedSplit, open_manifest, open_split
-from rfpp.shards.views import read_views
 
 
 @pytest.fixture(scope="module")
 def roots(tmp_path_factory):
     folder = tmp_path_factory.mktemp("joined")
     few, many = ({"train": count, "validation": 1} for count in (2, 3))
-    ending = {"scene": "boxes", "reference": {"max_bounces": 2}}
-    return [make(folder / "few", splits=few, groups=ending).root, make(folder / "many", splits=many).root]
+    return [make(folder / "few", splits=few).root, make(folder / "many", splits=many).root]
 
 
 def test_scenes_of_all_come_one_after_the_other(roots):
@@ -28,11 +26,6 @@ def test_scenes_of_all_come_one_after_the_other(roots):
         np.testing.assert_array_equal(joined[number].images, part[index].images)
     with pytest.raises(IndexError):
         joined.read(5)
-
-
-def test_scenes_know_after_how_many_bounces_their_light_ends(roots):
-    joined = open_split(roots, "train")
-    assert [read_views(joined, number, ()).bounces for number in range(5)] == [2, 2, None, None, None]
 
 
 def test_one_that_is_named_twice_counts_twice(roots):

@@ -6,7 +6,7 @@ from known_scenes import LIGHT, look_at, material, pack, sphere, square, still_l
 from small_data import BoxFamily
 from stored_sample import stored_sample
 
-from rfpp.gbuffer.direct_light import direct_radiance
+from rfpp.raycast.direct_light import direct_radiance
 from rfpp.imaging import panels
 from rfpp.imaging.panels import tone_mapped
 from rfpp.scene.packed import PackedScene

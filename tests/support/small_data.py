@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from rfpp.reference.cycles import CyclesSettings, render_lights
+from rfpp.reference.cycles import CyclesSettings
 from rfpp.reference.farm import RenderFarm
 from rfpp.scene.mesh import Mesh
 from rfpp.scene.spec import Camera, Material, Scene, SceneObject, Transform
@@ -101,17 +101,15 @@ ACCEPTANCE = Acceptance(
 
 SETTINGS = DatasetSettings(
     name="small", root="", seed=7, resolution=8, views=2, light_samples=2,
-    splits={"train": 5, "train_newviews": 3, "test": 2}, scenes_per_shard=2, acceptance=ACCEPTANCE, by_light=False,
+    splits={"train": 5, "train_newviews": 3, "test": 2}, scenes_per_shard=2, acceptance=ACCEPTANCE,
 )  # fmt: skip
 
 
-def recipe(
-    root: Path, family=None, render=invented, groups=None, reference=REFERENCE, render_lights=render_lights, **data
-) -> Recipe:
+def recipe(root: Path, family=None, render=invented, groups=None, reference=REFERENCE, **data) -> Recipe:
     """For a data set in `root`, with `data` replacing some of SETTINGS."""
     dataset = replace(SETTINGS, root=str(root), **data)
     family, groups = family or BoxFamily(), groups or {"scene": "boxes"}
-    return Recipe.of_scenes(family, reference, dataset, groups, render, render_lights)
+    return Recipe.of_scenes(family, reference, dataset, groups, render)
 
 
 class InProcess(RenderFarm):

@@ -16,8 +16,5 @@ def stored_sample(scene: PackedScene | None = None, resolution: int = 16) -> Sce
     gbuffers = rays.gbuffers(scene.c2w, scene.fov, resolution, 2, np.random.SeedSequence(0))
     images = np.random.default_rng(3).exponential(0.5, (len(scene.fov), resolution, resolution, 3)).astype(np.float32)
     meta = {"family": "boxes", "index": 1, "redraws": {"scene_redraws": 2, "empty_views": 3, "unlit_views": 4}}
-    key = "train-000001"
-    sample = SceneSample(
-        key, scene.triangles, scene.c2w, scene.fov, images, gbuffers, rays.object_light(), rays.cells, meta
-    )
-    return decode(key, encode(sample))
+    sample = SceneSample("train-000001", scene.triangles, scene.c2w, scene.fov, images, gbuffers, meta)
+    return decode(sample.key, encode(sample))

@@ -3,15 +3,12 @@
 import numpy as np
 import pytest
 from small_data import make
-from two_lights import TwoLights, invented_lights
 
-from rfpp.errors import ShardError, UserError
-from rfpp.gbuffer.first_hit import first_hit, stack_channels
+from rfpp.raycast.first_hit import first_hit, stack_channels
 from rfpp.scene.triangles import DIFFUSE, EMISSION, SPECULAR
 from rfpp.shards.dataset import ShardSplit
 from rfpp.shards.views import AllViews
-from rfpp.training.augmentation import ColourPermutation, LightMixing, RigidAugmentation, moved
-from rfpp.training.views import TrainingViews
+from rfpp.training.augmentation import ColourPermutation, RigidAugmentation, moved
 
 CHANNELS = ("albedo", "normal", "position")
 
@@ -71,42 +68,5 @@ def test_colour_channels_trade_places_everywhere_at_once(split):
             before, after = (v.triangles.material[:, columns] for v in (views, swapped))
             np.testing.assert_array_equal(after, before[:, order])
         np.testing.assert_array_equal(swapped.gbuffer[:, :3], views.gbuffer[:, order])
-        np.testing.assert_array_equal(swapped.object_light, views.object_light[:, order])
         np.testing.assert_array_equal(swapped.gbuffer[:, 3:], views.gbuffer[:, 3:])
         np.testing.assert_array_equal(swapped.triangles.material[:, 6], views.triangles.material[:, 6])
-
-
-@pytest.fixture(scope="module")
-def by_light(tmp_path_factory):
-    root = tmp_path_factory.mktemp("lights") / "apart"
-    make(root, TwoLights(), render_lights=invented_lights, splits={"train": 2}, by_light=True)
-    return ShardSplit(root, "train")
-
-
-def test_lights_are_mixed_draw_by_draw(by_light):
-    lit = (*CHANNELS, "direct_diffuse")
-    mixing = LightMixing(power=4.0, saturation=0.5)
-    draw, again = (TrainingViews(by_light, lit, 2, None, None, 0, mixing)[0, 1] for _ in range(2))
-    plain = TrainingViews(by_light, lit, 2, None, None, 0)[0, 1]
-    np.testing.assert_array_equal(draw.image, again.image)
-    np.testing.assert_array_equal(draw.c2w, plain.c2w)
-    factors = draw.triangles.material[-2:, EMISSION] / plain.triangles.material[-2:, EMISSION]
-    assert not np.allclose(factors[0], factors[1], rtol=0.05)
-    for factor in factors:
-        assert (factor > 0.5 / 4).all() and (factor < 4).all() and factor.min() >= 0.5 * factor.max()
-    np.testing.assert_array_equal(draw.gbuffer[:, :9], plain.gbuffer[:, :9])
-    brighter = draw.gbuffer[:, 9:].sum((0, 2, 3)) / plain.gbuffer[:, 9:].sum((0, 2, 3))
-    assert (brighter >= np.min(factors, axis=0) * 0.99).all() and (brighter <= np.max(factors, axis=0) * 1.01).all()
-    others = TrainingViews(by_light, lit, 2, None, None, 0, mixing)
-    assert not np.allclose(draw.image.mean(), others[1, 1].image.mean(), rtol=1e-3)
-
-
-def test_without_lights_apart_they_cannot_be_mixed(split):
-    with pytest.raises(ShardError, match="light_augmentation=null"):
-        TrainingViews(split, CHANNELS, 1, None, None, 0, LightMixing(power=2.0, saturation=0.0))[0, 0]
-
-
-@pytest.mark.parametrize(("power", "saturation"), [(0.5, 0.0), (2.0, 1.0), (2.0, -0.1)])
-def test_mixing_refuses_what_is_no_range(power, saturation):
-    with pytest.raises(UserError, match="light_augmentation"):
-        LightMixing(power, saturation)

@@ -43,7 +43,6 @@ def datamodule(root, rank: int = 0, ranks: int = 1, accumulate: int = 1, steps: 
         "scenes_per_device": None, "dealing": InOrder(),
         "views_per_scene": 1, "training_scenes": None, "validation_scenes": 1, "shuffle_shards": 2,
         "skip_corrupt": False, "rigid_augmentation": RigidAugmentation(1.0, 0.25), "colour_augmentation": None,
-        "light_augmentation": None,
         "workers": 0, "seed": 5,
     }  # fmt: skip
     data = SceneDataModule(**{**settings, **change})

@@ -14,10 +14,11 @@ from torch import Tensor, nn
 from rfpp.batch import RaggedBatch
 from rfpp.errors import UserError
 from rfpp.evaluation.measuring.records import MODEL
-from rfpp.gbuffer.first_hit import CHANNELS
 from rfpp.imaging.radiance import log_decode
+from rfpp.inference.network_engine import NetworkEngine
 from rfpp.inference.renderer import Renderer
 from rfpp.metrics import baselines, l1_parts
+from rfpp.raycast.first_hit import CHANNELS
 from rfpp.scene.packed import PackedScene
 from rfpp.shards.dataset import ShardSplit
 from rfpp.shards.sample import SceneSample
@@ -122,8 +123,9 @@ class BaselinePredictor(Predictor):
 
 def predictor_of(renderer: Renderer) -> NetworkPredictor | RendererPredictor:
     """Choose the predictor of a renderer: a network reads the stored G-buffers, anything else renders the scene."""
-    network = getattr(renderer, "network", None)
-    return RendererPredictor(renderer) if network is None else NetworkPredictor(network, renderer.device)
+    if isinstance(renderer.engine, NetworkEngine):
+        return NetworkPredictor(renderer.engine.module, renderer.device)
+    return RendererPredictor(renderer)
 
 
 def fitted_baselines(train: ShardSplit, scenes: int) -> list[BaselinePredictor]:
