@@ -31,7 +31,7 @@ def until(condition, seconds=60):
 
 def status(browser) -> str:
     text = browser.find_element("tag name", "body").text
-    return next((line for line in text.splitlines() if " ms, " in line), "")
+    return next((line for line in text.splitlines() if line.endswith(" ms")), "")
 
 
 def everything_said(browser):
