@@ -82,6 +82,19 @@ def test_several_checkpoints_share_their_baselines(compose_evaluation, make_chec
     assert capsys.readouterr().out.count("another data set") == 1
 
 
+def test_radiosity_is_evaluated_like_a_checkpoint(compose_evaluation, tmp_path, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    (evaluation,) = main.__wrapped__(compose_evaluation("checkpoint=radiosity"))
+    model, black = (evaluation.means["test", who]["log_l1"] for who in ("model", "black"))
+    assert model.scenes == black.scenes == 3
+    assert model.mean != black.mean
+    assert evaluation.ablation == evaluation.transport == {}
+    folder = tmp_path / "data" / "runs" / "radiosity" / "evaluation_known"
+    tables = {"images.csv", "scenes.csv", "summary.csv", "evaluation.json"}
+    assert {path.name for path in folder.iterdir()} == {*tables, "test.png", "report.html", "config.yaml"}
+    assert "Transport" not in (folder / "report.html").read_text()
+
+
 @pytest.mark.parametrize(
     ("override", "message"),
     [

@@ -72,7 +72,7 @@ def test_notes_are_optional(run, tmp_path):
 def test_a_refinement_is_published_instead_of_the_checkpoint_it_refines(run, tmp_path):
     refined = Renderer.load(run / "checkpoints" / "best.ckpt", "cpu", "fp32")
     with torch.no_grad():
-        next(refined.network.decoder.head.parameters()).mul_(2)
+        next(refined.engine.module.decoder.head.parameters()).mul_(2)
     refined.save(run / "refined")
     published = Renderer.load(publish(run, tmp_path / "toy"), "cpu", "bf16")
     expected = Renderer.load(run / "refined", "cpu", "bf16")

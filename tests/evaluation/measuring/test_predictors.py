@@ -1,13 +1,19 @@
-from unittest.mock import create_autospec
-
 import numpy as np
 import pytest
 import torch
+from networks import checkpoint_info, network
 
 from rfpp.errors import UserError
-from rfpp.evaluation.measuring.predictors import RendererPredictor, StoredScene, fitted_baselines, predictor_of
+from rfpp.evaluation.measuring.predictors import (
+    NetworkPredictor,
+    RendererPredictor,
+    StoredScene,
+    fitted_baselines,
+    predictor_of,
+)
 from rfpp.imaging.radiance import log_decode, log_encode
 from rfpp.inference.renderer import Renderer
+from rfpp.scene.packed import PackedScene
 from rfpp.shards.dataset import ShardSplit
 from rfpp.shards.views import select_views
 
@@ -24,23 +30,27 @@ def test_a_network_reads_the_stored_channels_it_asks_for(scene, half_albedo) -> 
 
 def test_a_resolution_that_is_no_multiple_of_the_patch_size_is_one_line(scene, half_albedo) -> None:
     half_albedo.network.patch_size = 5
-    with pytest.raises(UserError, match="small_000000|test-000000: 16x16 pixels .* patch size 5") as error:
+    with pytest.raises(UserError, match="test-000000: 16x16 pixels .* patch size 5") as error:
         half_albedo.predict(scene)
     assert "\n" not in str(error.value)
 
 
-def test_a_renderer_renders_the_stored_triangles_and_cameras(scene) -> None:
-    renderer = create_autospec(Renderer, instance=True)
-    images = np.random.default_rng(0).random((2, 16, 16, 3), dtype=np.float32)
-    renderer.render.return_value = images
+def test_radiosity_renders_the_stored_triangles_and_cameras(scene) -> None:
+    renderer = Renderer.load("radiosity", "cpu", "fp32")
     predictor = predictor_of(renderer)
+    sample = scene.sample
+    packed = PackedScene("another name", sample.triangles, sample.c2w, sample.fov)
+    images = torch.from_numpy(renderer.fresh().render(packed, (16, 16))).permute(0, 3, 1, 2)
+    assert images.max() > 0
     assert isinstance(predictor, RendererPredictor)
-    torch.testing.assert_close(predictor.predict(scene), torch.from_numpy(images).permute(0, 3, 1, 2))
-    packed, resolution = renderer.render.call_args.args
-    assert resolution == (16, 16)
-    assert packed.triangles is scene.sample.triangles
-    np.testing.assert_array_equal(packed.c2w, scene.sample.c2w)
-    np.testing.assert_array_equal(packed.fov, scene.sample.fov)
+    torch.testing.assert_close(predictor.predict(scene), images)
+
+
+def test_a_checkpoint_of_a_network_is_a_network() -> None:
+    net = network()
+    predictor = predictor_of(Renderer(net, checkpoint_info()))
+    assert isinstance(predictor, NetworkPredictor)
+    assert predictor.network is net
 
 
 def test_baselines_are_fitted_on_the_training_split(scene, data_root) -> None:
