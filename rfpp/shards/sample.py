@@ -149,7 +149,7 @@ def _gbuffer(layers: Callable[[str], Mapping[str, np.ndarray]], channels: Collec
         light = DirectLight(*(stored[name].astype(np.float32) for name in DIRECT_CHANNELS))
     if _REFLECTED in channels:
         reflected = layers(_REFLECTION)[_REFLECTED].astype(np.float32)
-        reflection = Reflection(light=reflected, albedo=np.zeros_like(reflected))
+        reflection = Reflection(light=reflected)
     return GBuffer(
         triangle=surface["triangle"].astype(np.int32) - 1,
         normal=surface["normal"].astype(np.float32),
