@@ -15,6 +15,7 @@ from pathlib import Path
 import torch
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
+from rfpp.model.radiosity import UnlearnedRadiosity
 from rich.console import Console
 
 from rfpp.checkpoint.loading import load_network
@@ -36,7 +37,6 @@ from rfpp.evaluation.tables.terminal import results_table
 from rfpp.evaluation.tracked_results import log_to_training_run, results_folder, run_folder
 from rfpp.metrics.image import ImageMetrics
 from rfpp.metrics.lpips import LPIPS
-from rfpp.model.radiosity import UnlearnedRadiosity
 from rfpp.progress import progress_bars
 from rfpp.shards.dataset import ShardSplit
 from rfpp.training.config_file import write_config

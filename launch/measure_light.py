@@ -16,6 +16,8 @@ from typing import Any
 import torch
 from hydra.utils import instantiate
 from omegaconf import DictConfig
+from rfpp.model.linear_transport import LinearTransport
+from rfpp.model.radiosity import UnlearnedRadiosity
 from rich.console import Console
 from rich.table import Table
 
@@ -23,9 +25,7 @@ from rfpp.checkpoint.loading import load_network
 from rfpp.commands import entry_point
 from rfpp.evaluation.measuring.light import measure
 from rfpp.evaluation.tables.light_table import COLUMNS, light_row, write_light_rows
-from rfpp.model.linear_transport import LinearTransport
-from rfpp.model.matrix_precision import matrix_dtype
-from rfpp.model.radiosity import UnlearnedRadiosity
+from rfpp.model.layers.matrix_precision import matrix_dtype
 from rfpp.progress import progress_bars
 from rfpp.shards.dataset import ShardSplit
 from rfpp.training.tracking.description import code_version, hardware

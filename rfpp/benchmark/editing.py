@@ -14,7 +14,7 @@ import torch
 from rfpp.benchmark.spheres import LAMP, camera, spheres
 from rfpp.checkpoint.loading import CheckpointInfo
 from rfpp.inference.renderer import Renderer
-from rfpp.model.matrix_precision import matrix_dtype
+from rfpp.model.layers.matrix_precision import matrix_dtype
 from rfpp.model.renderformer_pp import RenderFormerPP
 from rfpp.scene.packed import pack
 from rfpp.scene.spec import Scene

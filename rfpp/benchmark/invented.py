@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-from rfpp.gbuffer.direct_light import direct_radiance
-from rfpp.gbuffer.first_hit import camera_caster, channel, first_hit
-from rfpp.gbuffer.known_light import with_known_light
-from rfpp.gbuffer.light_sampler import LightSampler
+from rfpp.raycast.direct_light import direct_radiance
+from rfpp.raycast.first_hit import camera_caster, channel, first_hit
+from rfpp.raycast.known_light import with_known_light
+from rfpp.raycast.light_sampler import LightSampler
 from rfpp.reference.cycles import CyclesSettings
 from rfpp.reference.farm import RenderFarm
 from rfpp.scene.triangles import SceneTriangles

@@ -10,9 +10,9 @@ from typing import TypeVar
 
 import numpy as np
 
-from rfpp.gbuffer.first_hit import GBuffer, camera_caster, channel, first_hit
-from rfpp.gbuffer.known_light import with_known_light
-from rfpp.gbuffer.light_sampler import LightSampler
+from rfpp.raycast.first_hit import GBuffer, camera_caster, channel, first_hit
+from rfpp.raycast.known_light import with_known_light
+from rfpp.raycast.light_sampler import LightSampler
 from rfpp.scene.packed import PackedScene, pack
 from rfpp.scene.sampling.family import SceneFamily, TriangleBudget
 

@@ -13,7 +13,7 @@ from rfpp.batch import RaggedBatch
 from rfpp.losses.log_l1 import log_l1
 from rfpp.model.lit_cells import LitCells
 from rfpp.model.renderformer_pp import EncodedScenes, RenderFormerPP
-from rfpp.model.tokenizer import SceneTokens
+from rfpp.model.layers.scene_tokens import SceneTokens
 from rfpp.packed_cells import LIGHT, PackedCells
 
 #: The scene tokens of another scene in place of its own; they keep their places, and the light they start with.

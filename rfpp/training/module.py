@@ -18,7 +18,7 @@ from rfpp.errors import UserError
 from rfpp.imaging.radiance import log_decode
 from rfpp.losses.rendering import RenderingLoss
 from rfpp.metrics.image import ImageMetrics
-from rfpp.model.block import CrossAttention, SelfAttention, SwiGLU
+from rfpp.model.layers.block import CrossAttention, SelfAttention, SwiGLU
 from rfpp.model.renderformer_pp import Rendering
 
 
@@ -56,7 +56,7 @@ class RenderingModule(L.LightningModule):
             rendering.log_radiance,
             rendering.transport_states,
             batch.image,
-            rendering.state_segments,
+            rendering.token_segments,
         )
         named_elsewhere = ("loss", "consistency_")  # the second by ConsistencyMonitor
         scalars = {f"train/{k}": v.detach() for k, v in terms.items() if not k.startswith(named_elsewhere)}

@@ -8,7 +8,7 @@ from pathlib import Path
 import torch
 from omegaconf import OmegaConf
 
-from rfpp.model.matrix_precision import matrix_dtype
+from rfpp.model.layers.matrix_precision import matrix_dtype
 
 #: A setting that stands for whatever suits the device.
 AUTO = "auto"

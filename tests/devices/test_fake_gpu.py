@@ -13,7 +13,7 @@ from rfpp.inference import object_encoder
 from rfpp.losses.transport_consistency import TransportConsistency
 from rfpp.model import attention
 from rfpp.model.exposure import MeanIrradianceExposure
-from rfpp.model.ray_windows import ShiftedWindows
+from rfpp.model.layers.ray_windows import ShiftedWindows
 from rfpp.model.view_decoder import SeenTokens
 from rfpp.segments import on_device
 from rfpp.training.blocks import RecomputedObjects

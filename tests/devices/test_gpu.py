@@ -16,7 +16,7 @@ from small_data import make
 from training_runs import finish, start, train, wait_for_step
 
 from rfpp import Renderer
-from rfpp.model.attention import (
+from rfpp.model.layers.attention import (
     DENSE_FROM,
     AttentionPattern,
     attend_bucketed,

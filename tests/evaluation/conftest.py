@@ -17,7 +17,7 @@ from rfpp.evaluation.measuring.evaluation_file import Evaluation
 from rfpp.evaluation.measuring.records import ImageRecord, SceneRecord, scene_records
 from rfpp.evaluation.report.picture_archive import write_pictures
 from rfpp.evaluation.tables.paper import PAPER_METRICS
-from rfpp.gbuffer.first_hit import stack_channels
+from rfpp.raycast.first_hit import stack_channels
 from rfpp.imaging.radiance import log_encode
 from rfpp.metrics.image import METRICS
 from rfpp.model.renderformer_pp import Rendering

@@ -8,7 +8,7 @@ import pytest
 from known_scenes import look_at, still_life
 
 from rfpp.errors import UserError
-from rfpp.gbuffer.first_hit import CELL_CHANNELS, CHANNELS, channel, first_hit, stack_channels
+from rfpp.raycast.first_hit import CELL_CHANNELS, CHANNELS, channel, first_hit, stack_channels
 from rfpp.imaging.exr import read_exr
 from rfpp.imaging.tone_maps import SRGB
 from rfpp.inference.layers import checked_layers, exr_layers

@@ -9,7 +9,7 @@ from networks import network
 from random_scenes import random_views
 
 from rfpp.batch import RaggedBatch, SceneViews
-from rfpp.gbuffer.first_hit import DIRECT_CHANNELS
+from rfpp.raycast.first_hit import DIRECT_CHANNELS
 from rfpp.model.exposure import MeanIrradianceExposure, UnitExposure
 from rfpp.model.ray_bundle import CameraOrigin
 from rfpp.scene.triangles import EMISSION, SceneTriangles

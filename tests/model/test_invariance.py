@@ -9,7 +9,7 @@ from networks import network
 from random_scenes import random_views
 
 from rfpp.batch import RaggedBatch, SceneViews
-from rfpp.gbuffer.first_hit import CHANNELS
+from rfpp.raycast.first_hit import CHANNELS
 from rfpp.scene.triangles import SceneTriangles
 from rfpp.training.augmentation import moved
 

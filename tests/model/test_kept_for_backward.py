@@ -5,7 +5,7 @@ import torch
 import torch.nn.functional as F
 
 from rfpp.benchmark.activations import kept_for_backward
-from rfpp.model.block import SwiGLU
+from rfpp.model.layers.block import SwiGLU
 from rfpp.model.dpt import ResidualConvUnit
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import torch
 
 from rfpp.benchmark.cost.tasks import Inference
-from rfpp.model.tokenizer import TriangleTokens
+from rfpp.model.renderformer.triangle_tokens import TriangleTokens
 
 #: Bytes that `Hungry` takes at once.
 BITE = 50_000_000

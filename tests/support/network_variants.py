@@ -4,9 +4,9 @@ import numpy as np
 from random_scenes import random_views
 
 from rfpp.batch import RaggedBatch
-from rfpp.gbuffer.first_hit import CHANNELS
 from rfpp.losses.rendering import RenderingLoss
 from rfpp.model.renderformer_pp import RenderFormerPP
+from rfpp.raycast.first_hit import CHANNELS
 
 #: FlashAttention wants heads of a multiple of eight.
 HEADS = ("size.width=64", "size.heads=1")
@@ -17,9 +17,9 @@ VARIANTS = {
     "known_light": ("experiment=quickstart", "model=known_light", *HEADS),
     "refined": (
         "experiment=quickstart", *HEADS,
-        "+model.refinement={_target_: rfpp.model.refinement.Refinement, widths: [8, 12, 16], bound: 1.0}",
+        "+model.refinement={_target_: rfpp.radiosity.refinement.Refinement, widths: [8, 12, 16], bound: 1.0}",
     ),
-    "windows": (*PAPER, "+model.decoder.windows={_target_: rfpp.model.ray_windows.ShiftedWindows, size: 2}"),
+    "windows": (*PAPER, "+model.decoder.windows={_target_: rfpp.model.layers.ray_windows.ShiftedWindows, size: 2}"),
     **{
         name: (f"experiment=[large_scale,{name}]", "size=tiny", *HEADS)
         # without_tcl is the paper's network, renderformer_finetuned RenderFormer's

@@ -3,7 +3,7 @@
 import numpy as np
 
 from rfpp.batch import SceneViews
-from rfpp.gbuffer.cells import Cells
+from rfpp.radiosity.cells import Cells
 from rfpp.scene.camera import camera_to_world
 from rfpp.scene.spec import Camera
 from rfpp.scene.triangles import SceneTriangles

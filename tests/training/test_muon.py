@@ -14,7 +14,7 @@ from torch.optim import Muon
 from rfpp.commands import CONFIG_DIR
 from rfpp.errors import UserError
 from rfpp.metrics.image import ImageMetrics
-from rfpp.model.block import SwiGLU
+from rfpp.model.layers.block import SwiGLU
 from rfpp.training.module import RenderingModule, decay_groups
 from rfpp.training.muon import MuonWithAdamW
 from rfpp.training.schedule import warmup_cosine

@@ -10,7 +10,7 @@ from jaxtyping import Float, Int
 
 from rfpp.batch import RaggedBatch, SceneViews
 from rfpp.errors import UserError
-from rfpp.gbuffer.first_hit import CHANNELS
+from rfpp.raycast.first_hit import CHANNELS
 from rfpp.scene.camera import camera_to_world
 from rfpp.scene.spec import Camera
 from rfpp.scene.triangles import SceneTriangles

@@ -19,9 +19,9 @@ from rfpp.checkpoint.network_building import build
 from rfpp.errors import UserError
 from rfpp.inference.object_encoder import ObjectEncoder
 from rfpp.losses.rendering import RenderingLoss
-from rfpp.model.matrix_precision import convert_blocks
+from rfpp.model.layers.matrix_precision import convert_blocks
 from rfpp.model.renderformer_pp import EncodedScenes, RenderFormerPP
-from rfpp.model.tokenizer import ObjectTokens
+from rfpp.model.hoct import ObjectTokens
 from rfpp.training.blocks import RecomputedBlocks, RecomputedObjects, compile_blocks
 from rfpp.training.flops import training_flops
 from rfpp.training.module import decay_groups
@@ -197,7 +197,7 @@ class TrainingStep:
             begin = setting.now()
             with setting.autocast():
                 made = network(batch)
-                terms = loss(made.log_radiance, made.transport_states, batch.image, made.state_segments)
+                terms = loss(made.log_radiance, made.transport_states, batch.image, made.token_segments)
             optimizer.zero_grad()  # where Lightning does it, which decides what memory holds at once
             terms["loss"].backward()
             nn.utils.clip_grad_norm_(network.parameters(), self.gradient_clip)

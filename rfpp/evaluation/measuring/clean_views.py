@@ -15,11 +15,11 @@ from torch import Tensor
 
 from rfpp.batch import RaggedBatch, SceneViews
 from rfpp.files import write_atomically
-from rfpp.gbuffer.first_hit import CELL_CHANNELS, CHANNELS
+from rfpp.raycast.first_hit import CELL_CHANNELS, CHANNELS
 from rfpp.inference.gbuffers import GBufferSource
 from rfpp.model.linear_decoder import KNOWN
 from rfpp.model.pixel_filter import PixelFilter
-from rfpp.model.points import means
+from rfpp.radiosity.sample_means import means
 from rfpp.scene.packed import PackedScene
 from rfpp.shards.dataset import ShardSplit
 

@@ -13,7 +13,7 @@ from torch import Tensor, nn
 from rfpp.batch import RaggedBatch
 from rfpp.errors import ShardError, UserError
 from rfpp.evaluation.measuring.records import MODEL, ImageRecord
-from rfpp.gbuffer.first_hit import CHANNELS as CHANNEL_SIZES
+from rfpp.raycast.first_hit import CHANNELS as CHANNEL_SIZES
 from rfpp.imaging.radiance import log_decode
 from rfpp.metrics.baselines import (
     CHANNELS,

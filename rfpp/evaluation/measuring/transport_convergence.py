@@ -16,7 +16,8 @@ from rfpp.errors import UserError
 from rfpp.imaging.radiance import log_decode
 from rfpp.metrics.image import log_l1
 from rfpp.model.renderformer_pp import RenderFormerPP
-from rfpp.model.transport import EncodedTransport, PhysicsInformedTransport
+from rfpp.model.renderformer.transport import EncodedTransport
+from rfpp.model.pitg import PhysicsInformedTransport
 from rfpp.shards.dataset import ShardSplit
 from rfpp.shards.views import select_views
 
