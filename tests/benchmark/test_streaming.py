@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from rfpp.training.dealing import InOrder
 from small_data import REFERENCE, SETTINGS, BoxFamily, make
 
 from rfpp.benchmark.streaming import PAPER_IMAGES_PER_SECOND, measure
@@ -12,7 +13,6 @@ from rfpp.shards.cache import ShardCache
 from rfpp.shards.dataset import ShardSplit
 from rfpp.shards.manifest import Manifest
 from rfpp.training.datamodule import SceneDataModule
-from rfpp.training.dealing import InOrder
 
 
 @pytest.fixture
