@@ -52,7 +52,7 @@ def main(cfg: DictConfig) -> Path:
 
     file = checkpoint_file(str(cfg.checkpoint), cfg.registry.tracking_uri, Path(cfg.registry.folder))
     renderer = Renderer.load(file, cfg.device, cfg.precision)
-    sampling = {name: cfg[name] for name in ("light_samples", "supersampling", "token_resolution", "transports")}
+    sampling = {name: cfg[name] for name in ("light_samples", "supersampling", "transports")}
     with console.status(f"Rendering {seen.triangles.num_lights} lights apart …"):
         layers = renderer.render_lights(seen, target.shape[1:3], **sampling)
     solved = solve_lights(layers, target, counts, cfg.colours, float(cfg.pull))

@@ -1,10 +1,10 @@
-"""Render scene files with a trained network: pictures from their cameras, or films.
+"""Render scene files: pictures from their cameras, or films.
 
     python launch/render.py scene=data/scenes/cornell_box.json
     python launch/render.py scene=chair.glb checkpoint=data/runs/quickstart/latest/checkpoints/best.ckpt
     python launch/render.py scene=chair.glb motion=turntable tone_map=agx
 
-Where no checkpoint is given, the network that comes with the project renders.
+Without a checkpoint, the included radiosity renders; with one of launch/train.py, that network.
 """
 
 from __future__ import annotations

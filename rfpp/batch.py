@@ -12,8 +12,6 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from rfpp.gbuffer.cells import Cells
-from rfpp.packed_cells import PackedCells
 from rfpp.scene.triangles import SceneTriangles
 from rfpp.segments import Segments, on_device
 
@@ -30,9 +28,6 @@ class SceneViews:
         gbuffer: [V, C, H, W] first-hit channels in camera space.
         image: [V, 3, H, W] linear radiance, where a reference exists.
         texture: [M, 13, P, P] where materials vary over triangles, see `rfpp.scene.texture`.
-        object_light: [O, 3] see `rfpp.gbuffer.object_light`, for networks that read it.
-        cells: of the scene, for networks that move light between them.
-        bounces: after so many the light of the image ends; None: it does not, as far as is known.
     """
 
     key: str
@@ -42,13 +37,10 @@ class SceneViews:
     gbuffer: np.ndarray
     image: np.ndarray | None = None
     texture: np.ndarray | None = None
-    object_light: np.ndarray | None = None
-    cells: Cells | None = None
-    bounces: int | None = None
 
 
 #: Parts of a batch that live on a device.
-_Movable = Tensor | Segments | PackedCells
+_Movable = Tensor | Segments
 
 
 @dataclass(frozen=True)
@@ -65,12 +57,7 @@ class RaggedBatch:
         image: [B, V, 3, H, W] linear radiance, or None when rendering.
         keys: B sample names.
         texture: [M, 13, P, P] emission linear, or None where every triangle has one material.
-        object_light: [O, 3] linear radiance that leaves each object by the first bounce, or None.
-        cells: of all scenes, or None.
-        octants: [8 O, 3] where each octant of each object lies: the mean of its cells' centres by their area, or its
-            object's where it has none; None without cells.
         emitters: [E] the triangles that emit; on the host, so that pairing them with objects waits for no device.
-        bounces: B numbers, see `SceneViews`.
     """
 
     positions: Float[Tensor, "m 3 3"]
@@ -85,10 +72,6 @@ class RaggedBatch:
     keys: tuple[str, ...]
     emitters: Int[np.ndarray, " e"]
     texture: Float[Tensor, "m 13 p p"] | None = None
-    object_light: Float[Tensor, "o 3"] | None = None
-    cells: PackedCells | None = None
-    bounces: tuple[int | None, ...] = ()
-    octants: Float[Tensor, "octants 3"] | None = None
 
     @classmethod
     def pack(cls, samples: Sequence[SceneViews]) -> RaggedBatch:
@@ -108,10 +91,7 @@ class RaggedBatch:
         if textures and len(textures) < len(samples):
             raise ValueError("textured scenes and others cannot share a batch")
         with_images = all(s.image is not None for s in samples)
-        lit = [s.object_light for s in samples if s.object_light is not None]
-        cells = [s.cells for s in samples if s.cells is not None]
         objects = [t.num_objects for t in triangles]
-        packed_cells = PackedCells.pack(cells, objects) if len(cells) == len(samples) else None
         return cls(
             positions=packed([t.positions for t in triangles]),
             normals=packed([t.normals for t in triangles]),
@@ -125,10 +105,6 @@ class RaggedBatch:
             keys=tuple(s.key for s in samples),
             emitters=np.flatnonzero(np.concatenate([t.is_emissive for t in triangles])),
             texture=packed(textures) if textures else None,
-            object_light=packed(lit) if len(lit) == len(samples) else None,
-            cells=packed_cells,
-            bounces=tuple(s.bounces for s in samples),
-            octants=None if packed_cells is None else packed_cells.octant_centres(sum(objects)),
         )
 
     @property
@@ -152,25 +128,21 @@ class RaggedBatch:
         a, b, c = self.positions.unbind(1)
         return 0.5 * torch.linalg.vector_norm(torch.linalg.cross(b - a, c - a), dim=-1)
 
-    def dimmed(self, factor: Float[Tensor, " b"]) -> RaggedBatch:
-        """Every scene's light, of triangles, objects and cells, divided by its factor; images stay as they are."""
-        per_object = factor[self.scenes.index]
-        per_triangle = per_object[self.objects.index]
+    def normalized(self, exposure: Float[Tensor, " b"]) -> RaggedBatch:
+        """Divide each scene's emission by its exposure. Images are unchanged."""
+        per_triangle = exposure[self.scenes.index][self.objects.index]
         material = torch.cat([self.material[:, :7], self.material[:, 7:10] / per_triangle[:, None]], dim=-1)
         texture = self.texture
         if texture is not None:
             texture = torch.cat([texture[:, :10], texture[:, 10:] / per_triangle[:, None, None, None]], dim=1)
-        light = None if self.object_light is None else self.object_light / per_object[:, None]
-        cells = None if self.cells is None else self.cells.dimmed(factor)
-        return replace(self, material=material, texture=texture, object_light=light, cells=cells)
+        return replace(self, material=material, texture=texture)
 
     def only(self, objects: Sequence[int]) -> RaggedBatch:
-        """Some objects, in this order, as one scene of their own; without cells, which know of each other."""
+        """Return a scene of these objects alone, in this order."""
         starts = np.concatenate([[0], np.cumsum(self.objects.lengths)])
         rows = np.concatenate([np.arange(starts[number], starts[number + 1]) for number in objects])
         emitters = np.flatnonzero(np.isin(rows, self.emitters))
         rows = on_device(rows, self.positions.device)
-        numbers = on_device(np.array(objects), rows.device)
         return replace(
             self,
             positions=self.positions[rows],
@@ -180,13 +152,10 @@ class RaggedBatch:
             scenes=Segments.from_lengths([len(objects)], rows.device),
             emitters=emitters,
             texture=None if self.texture is None else self.texture[rows],
-            object_light=None if self.object_light is None else self.object_light[numbers],
-            cells=None,
-            octants=None if self.octants is None else self.octants.view(-1, 8, 3)[numbers].flatten(0, 1),
         )
 
     def object_chunks(self, objects: Sequence[int], triangles: int) -> Iterator[list[int]]:
-        """The objects in order, together as long as they have at most so many triangles; larger ones alone."""
+        """Group consecutive objects up to a total of `triangles`; larger objects stand alone."""
         chunk, size = [], 0
         for number in objects:
             if chunk and size + self.objects.lengths[number] > triangles:
@@ -201,9 +170,7 @@ class RaggedBatch:
         moved = {}
         for field in fields(self):
             value = getattr(self, field.name)
-            moved[field.name] = (
-                value.to(device, **kwargs) if isinstance(value, Tensor | Segments | PackedCells) else value
-            )
+            moved[field.name] = value.to(device, **kwargs) if isinstance(value, _Movable) else value
         return RaggedBatch(**moved)
 
     def pin_memory(self) -> RaggedBatch:

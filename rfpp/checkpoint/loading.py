@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pickle
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -14,13 +14,12 @@ from torch import nn
 from rfpp.checkpoint.model_folder import CONFIG_FILE, folder_of, names_folder, read_folder
 from rfpp.checkpoint.network_building import build_network, require_fitting
 from rfpp.checkpoint.released_weights import released, with_folded_texture
-from rfpp.checkpoint.renamed import with_current_names
 from rfpp.errors import CheckpointError
 from rfpp.model.triangle_embedding import TriangleEmbedding
 
 #: Where a Lightning checkpoint keeps a `CheckpointInfo`.
 CHECKPOINT_KEY = "rfpp"
-SCHEMA_VERSION = 2
+SCHEMA_VERSION = 3
 #: The network's place in a Lightning state dict.
 NETWORK_PREFIX = "network."
 _LARGEST_SIDE = 1 << 14
@@ -168,4 +167,4 @@ def _info(about: Any, path: Path) -> CheckpointInfo:
         ) from None
     if not all(0 < side <= _LARGEST_SIDE for side in info.resolution):
         raise CheckpointError(f"{path}: was trained at {info.resolution} pixels, it says: use the version that made it")
-    return replace(info, model=with_current_names(info.model))
+    return info

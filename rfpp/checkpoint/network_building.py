@@ -1,4 +1,4 @@
-"""Build a network from an untrusted configuration: only classes of `rfpp.model`, of bounded size."""
+"""Build a model from an untrusted configuration: only classes of `rfpp.model` and `rfpp.radiosity`, of bounded size."""
 
 from __future__ import annotations
 
@@ -11,15 +11,16 @@ from torch.overrides import TorchFunctionMode
 
 from rfpp.errors import CheckpointError
 from rfpp.model.renderformer_pp import RenderFormerPP
+from rfpp.radiosity.radiosity import Radiosity
 
-#: A checkpoint may only name parts from here; anything else in a config is refused, not imported.
-ALLOWED_PREFIX = "rfpp.model."
+#: Packages whose classes a checkpoint may name; anything else is refused, not imported.
+ALLOWED_PREFIXES = ("rfpp.model.", "rfpp.radiosity.")
 #: No number in a network's configuration is larger, and none of what is done so many times.
 _LARGEST, _MOST_TIMES = 1 << 20, 1024
-_TIMES = ("layers", "iterations", "frequencies")
+_TIMES = ("layers", "iterations", "frequencies", "bounces")
 
 
-def build_network(config: Any, weights: dict[str, Tensor], where: str) -> RenderFormerPP:
+def build_network(config: Any, weights: dict[str, Tensor], where: str) -> RenderFormerPP | Radiosity:
     """The network of a configuration, without its weights, for which it is made to fit before any memory is taken.
 
     Raises:
@@ -27,14 +28,14 @@ def build_network(config: Any, weights: dict[str, Tensor], where: str) -> Render
     """
     with torch.device("meta"), _ShapesOnly():
         shape = build(config, where)
-    if not isinstance(shape, RenderFormerPP):
+    if not isinstance(shape, RenderFormerPP | Radiosity):
         raise CheckpointError(f"{where}: its configuration is of no network: use the version that made it")
     require_fitting(shape, weights, where)
     return build(config, where)
 
 
 def build(config: Any, where: str) -> Any:
-    """Instantiate a nested `_target_` config whose targets all lie in rfpp.model. Raises CheckpointError."""
+    """Instantiate a nested `_target_` config whose targets all lie in `ALLOWED_PREFIXES`. Raises CheckpointError."""
     if isinstance(config, list | tuple):
         return [build(item, where) for item in config]
     if not isinstance(config, dict):
@@ -46,8 +47,10 @@ def build(config: Any, where: str) -> Any:
         if str(name).endswith(_TIMES) and isinstance(value, int) and value > _MOST_TIMES:
             raise CheckpointError(f"{where}: {name}={value} is more than {_MOST_TIMES}: refused")
     target = config["_target_"]
-    if not isinstance(target, str) or not target.startswith(ALLOWED_PREFIX):
-        raise CheckpointError(f"{where}: names {target!r}, which is not a part of {ALLOWED_PREFIX[:-1]}: refused")
+    if not isinstance(target, str) or not target.startswith(ALLOWED_PREFIXES):
+        raise CheckpointError(
+            f"{where}: names {target!r}, which is not in {' or '.join(p[:-1] for p in ALLOWED_PREFIXES)}: refused"
+        )
     module_name, _, class_name = target.rpartition(".")
     try:
         part = getattr(importlib.import_module(module_name), class_name)

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from rfpp.checkpoint.model_folder import CONFIG_FILE, WEIGHTS_FILE
 from rfpp.errors import CheckpointError
-from rfpp.model.encoding import RelativeSpatialEncoding
+from rfpp.model.layers.encoding import RelativeSpatialEncoding
 from rfpp.scene.texture import FLAT_NORMAL, MATERIAL_CHANNELS, NORMAL_CHANNELS, TEXTURE_CHANNELS, covered_cells
 
 #: The released code's defaults, for keys that a config.json leaves out.
@@ -100,24 +100,24 @@ def _model(config: dict[str, Any]) -> dict[str, Any]:
     """RenderFormer from our parts, as conf/model/renderformer.yaml builds it, with the released embedding."""
     attention = {"width": config["latent_dim"], "heads": config["num_heads"], "hidden": config["dim_feedforward"]}
     frequencies = config["vertex_pe_num_freqs"] // 2
-    windows = {"_target_": "rfpp.model.ray_windows.WholeView"}
+    windows = {"_target_": "rfpp.model.layers.ray_windows.WholeView"}
     if config["view_transformer_use_swin_attn"]:
-        windows = {"_target_": "rfpp.model.ray_windows.ShiftedWindows", "size": _WINDOW}
+        windows = {"_target_": "rfpp.model.layers.ray_windows.ShiftedWindows", "size": _WINDOW}
     return {
         "_target_": "rfpp.model.renderformer_pp.RenderFormerPP",
         "embedding": {
-            "_target_": "rfpp.model.triangle_embedding.TexturePatchEmbedding",
+            "_target_": "rfpp.model.renderformer.texture_patches.TexturePatchEmbedding",
             "width": config["latent_dim"],
             "normal_frequencies": config["vn_pe_num_freqs"],
             "patch_size": config["texture_encode_patch_size"],
         },
         "tokenizer": {
-            "_target_": "rfpp.model.tokenizer.TriangleTokens",
+            "_target_": "rfpp.model.renderformer.triangle_tokens.TriangleTokens",
             "width": config["latent_dim"],
             "registers": config["num_register_tokens"],
         },
         "transport": {
-            "_target_": "rfpp.model.transport.UnconstrainedTransport",
+            "_target_": "rfpp.model.renderformer.transport.UnconstrainedTransport",
             **attention,
             "layers": config["num_layers"],
             "frequencies": frequencies,
@@ -131,13 +131,9 @@ def _model(config: dict[str, Any]) -> dict[str, Any]:
             "gbuffer_channels": [],
             "head_level_channels": config["dpt_out_channels"],
             "head_channels": config["dpt_features"],
-            "ray_position": {"_target_": "rfpp.model.ray_bundle.CameraOrigin"},
-            "shading": {"_target_": "rfpp.model.shading.LogRadiance"},
-            "film": {"_target_": "rfpp.model.pixel_filter.CentreSample"},
             "windows": windows,
         },
         "exposure": {"_target_": "rfpp.model.exposure.UnitExposure"},
-        "source": {"_target_": "rfpp.model.initial_light.EmittedLight"},
     }
 
 

@@ -26,7 +26,7 @@ Size = tuple[int, int]
 
 
 class Film:
-    """Frames that a network renders, and that Cycles may path-trace too, each into a folder.
+    """Frames of an animation, rendered and optionally path-traced, each into a folder.
 
     Args:
         frames: of a motion, each a PackedScene with one camera, made when it is asked for.
@@ -48,7 +48,7 @@ class Film:
             UserError: a frame cannot be made or written; those before it are kept.
         """
         chosen = f"{renderer.dtype} {self.size} {dict(sampling)}"
-        origin = digest(weights_digest(renderer.network), chosen.encode())
+        origin = digest(weights_digest(renderer.engine.module), chosen.encode())
         self._predicted, made = FrameFolder(self.folder, origin), 0
         for shots in _of_one_scene(self._predicted.missing(self.frames)):
             show(shots[0].number, len(self.frames))

@@ -9,19 +9,17 @@ import numpy as np
 from jaxtyping import Float
 
 from rfpp.errors import UserError
-from rfpp.gbuffer.first_hit import CELL_CHANNELS, CHANNELS, COLOUR_CHANNELS
 from rfpp.imaging.exr import compact
+from rfpp.raycast.first_hit import CHANNELS, COLOR_CHANNELS
 
-#: The channels that are pictures: numbers of cells are none.
-LAYERS = tuple(name for name in CHANNELS if name not in CELL_CHANNELS)
 #: Layers whose values half precision would round visibly.
 _FLOAT32 = ("depth", "position")
 
 
 def checked_layers(names: Sequence[str]) -> tuple[str, ...]:
     """The names. Raises UserError at one that is no G-buffer channel, or that occurs twice."""
-    if unknown := [name for name in names if name not in LAYERS]:
-        raise UserError(f"layers: '{unknown[0]}' does not exist: choose from {', '.join(LAYERS)}")
+    if unknown := [name for name in names if name not in CHANNELS]:
+        raise UserError(f"layers: '{unknown[0]}' does not exist: choose from {', '.join(CHANNELS)}")
     if len(set(names)) < len(names):
         raise UserError(f"layers: {list(names)} names one twice: give each once")
     return tuple(names)
@@ -57,13 +55,13 @@ def exr_layers(stacked: Float[np.ndarray, "c h w"], names: Sequence[str]) -> dic
     """G-buffer channels by the names of EXR files: albedo.R, normal.X, depth.Z, roughness.Y (luminance), …
 
     Args:
-        stacked: of `rfpp.gbuffer.first_hit.stack_channels`.
+        stacked: of `rfpp.raycast.first_hit.stack_channels`.
         names: of its channels, in order.
     """
     layers: dict[str, np.ndarray] = {}
     planes = iter(stacked)
     for name in names:
-        if name in COLOUR_CHANNELS:
+        if name in COLOR_CHANNELS:
             components = "RGB"
         elif CHANNELS[name] == 3:
             components = "XYZ"

@@ -35,7 +35,7 @@ class LightMixer:
     """Renders a view as its renderer does, until a light of it changes: then each light apart, and from then on sums.
 
     Args:
-        renderer: of a network that is linear in lights.
+        renderer: Renderer of a model that is linear in lights.
         max_bytes: of the images that are kept.
     """
 

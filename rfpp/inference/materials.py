@@ -56,12 +56,6 @@ class MaterialTensors:
         values = material.detach().cpu().numpy()
         return cls(replace(scene, triangles=replace(triangles, material=values)), material, given)
 
-    @property
-    def changing(self) -> tuple[int, ...]:
-        """Numbers of the objects whose tensors ask for a gradient."""
-        names = {name for of_property in self.given.values() for name in of_property}
-        return tuple(number for number, name in enumerate(self.scene.triangles.object_names) if name in names)
-
     def with_values(self, changes: Mapping[tuple[str, str], float]) -> PackedScene:
         """The scene with other values.
 

@@ -45,9 +45,8 @@ class Request(Strict):
         triangles, up, transparent, backdrop: of `load_scene`.
         layers: G-buffer channels for the EXR.
         exposure: stops.
-        light_samples: shadow rays per light and pixel, rays into reflections, and up to four to cells.
-        supersampling: points along each side of a pixel.
-        token_resolution: of the image as ray tokens see it, or None for what is usual.
+        light_samples: shadow rays per light and pixel, and rays per pixel into reflections.
+        supersampling: samples along each side of a pixel.
         lights, bounces: whether those of a scene, or of its light, stand in layers of their own, too.
         transports: how often light is passed on in the scene, or None as in training.
         fps: of films.
@@ -70,7 +69,6 @@ class Request(Strict):
     lights: Literal["together", "separate"]
     bounces: Literal["together", "separate"]
     transports: Annotated[int, Field(ge=0, le=1024)] | None
-    token_resolution: Positive | None
     fps: Annotated[float, Field(gt=0, le=1000)]
     reference: bool
     reference_settings: str
@@ -112,7 +110,7 @@ class Request(Strict):
     @property
     def sampling(self) -> dict[str, int | None]:
         """Of `Renderer.render`, by name."""
-        names = ("light_samples", "supersampling", "token_resolution", "transports")
+        names = ("light_samples", "supersampling", "transports")
         return {name: getattr(self, name) for name in names}
 
     def one_camera(self) -> int:

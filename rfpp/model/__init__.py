@@ -1,1 +1,1 @@
-"""The network: plain arguments in, tensors out. Begin with `renderformer_pp`."""
+"""RenderFormer++ as in the paper; `renderformer` holds the baseline's own parts, `layers` what both share."""

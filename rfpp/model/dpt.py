@@ -11,7 +11,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 
-from rfpp.model.autocast import as_multiplied, in_float32
+from rfpp.model.layers.autocast import as_multiplied, in_float32
 
 LEVELS = 4
 #: Where training starts: about the mean of log10(1 + radiance). At zero, ELU's flat side would swallow the gradient.
@@ -19,20 +19,21 @@ INITIAL_LOG_RADIANCE = 0.1
 
 
 class DPTHead(nn.Module):
-    """Four feature maps of the patch grid → float32 maps at pixel resolution, which `rfpp.model.shading` reads.
+    """Four feature maps of the patch grid → log10(1 + radiance) at pixel resolution, float32.
 
     The maps are resampled to 4, 2, 1 and 1/2 times the patch grid: with 4×4 patches the finest is exactly the
     image, with RenderFormer's 8×8 it is half of it; never above it.
 
+    The output passes through ELU(α = 10⁻³), as in RenderFormer.
+
     Args:
-        width: channels of the incoming features.
-        level_channels: channels of the four resampled maps, finest first.
-        channels: channels of the fused maps.
-        patch_size: pixels along a patch's side, at least 4.
-        maps: how many to give.
+        width: Channels of the incoming features.
+        level_channels: Channels of the four resampled maps, finest first.
+        channels: Channels of the fused maps.
+        patch_size: Pixels along a patch's side, at least 4.
     """
 
-    def __init__(self, width: int, level_channels: Sequence[int], channels: int, patch_size: int, maps: int):
+    def __init__(self, width: int, level_channels: Sequence[int], channels: int, patch_size: int):
         super().__init__()
         if patch_size < 4:
             raise ValueError(f"patches of {patch_size} pixels: the head's finest level would exceed the image")
@@ -50,17 +51,13 @@ class DPTHead(nn.Module):
         self.fuse = nn.ModuleList(FusionBlock(channels, has_skip=level < LEVELS - 1) for level in range(LEVELS))
         self.smooth = nn.Conv2d(channels, channels // 2, 3, padding=1)
         self.out = nn.Sequential(
-            nn.Conv2d(channels // 2, channels // 4, 3, padding=1), nn.SiLU(), nn.Conv2d(channels // 4, maps, 1)
+            nn.Conv2d(channels // 2, channels // 4, 3, padding=1), nn.SiLU(), nn.Conv2d(channels // 4, 3, 1)
         )
-        self.start_at(INITIAL_LOG_RADIANCE)
-
-    def start_at(self, value: float) -> None:
-        """Sets what maps are about before any training."""
-        nn.init.constant_(cast(Tensor, self.out[-1].bias), value)
+        nn.init.constant_(cast(Tensor, self.out[-1].bias), INITIAL_LOG_RADIANCE)
 
     def forward(
         self, features: Sequence[Float[Tensor, "n c h w"]], height: int, width: int
-    ) -> Float[Tensor, "n maps height width"]:
+    ) -> Float[Tensor, "n 3 height width"]:
         levels = [
             common(resample(project(f)))
             for f, project, resample, common in zip(features, self.project, self.resample, self.to_common, strict=True)
@@ -71,8 +68,7 @@ class DPTHead(nn.Module):
         x = self.fuse[0](x, levels[0], (height, width))
         x = self.out[:-1](_resize(self.smooth(x), (height, width)))
         with in_float32(x):  # bfloat16's eight bits are too few for an image
-            maps: Tensor = self.out[-1](x.float())
-        return maps
+            return _elu(self.out[-1](x.float()))
 
 
 class HalvingConv(nn.Conv2d):
@@ -147,6 +143,30 @@ class _SiLUConv(torch.autograd.Function):
 
 
 _silu_conv: Callable[..., Tensor] = _SiLUConv.apply  # torch's has no types
+
+
+class _ELU(torch.autograd.Function):
+    """ELU(α = 10⁻³) whose gradient does not vanish below zero.
+
+    There the true slope is at most α, so a pixel that has turned black would hardly recover. A gradient that asks for
+    more light is therefore passed on undamped.
+    """
+
+    ALPHA = 1e-3
+
+    @staticmethod
+    def forward(ctx: Any, x: Tensor) -> Tensor:
+        ctx.save_for_backward(x)
+        return F.elu(x, alpha=_ELU.ALPHA)
+
+    @staticmethod
+    def backward(ctx: Any, grad: Tensor) -> Tensor:
+        (x,) = ctx.saved_tensors
+        slope = torch.where((x > 0) | (grad < 0), 1.0, _ELU.ALPHA * x.clamp(max=0).exp())
+        return grad * slope
+
+
+_elu: Callable[..., Tensor] = _ELU.apply  # torch's has no types
 
 
 def _resize(x: Tensor, size: tuple[int, int]) -> Tensor:

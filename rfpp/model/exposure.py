@@ -8,19 +8,19 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from rfpp.batch import RaggedBatch
-from rfpp.model.tokenizer import mean_by_object, object_areas
+from rfpp.model.hoct import mean_by_object, object_areas
 from rfpp.segments import on_device
 
 
 class UnitExposure:
-    """Every scene as it is (the paper's): the network itself has to learn how bright its lights are."""
+    """Exposure 1 for every scene (the paper's): the network has to learn the brightness of lights."""
 
     def __call__(self, batch: RaggedBatch) -> Float[Tensor, " b"]:
         return torch.ones(len(batch.scenes), device=batch.positions.device)
 
 
 class MeanIrradianceExposure:
-    """Every scene at the brightness of what its lights send to its surfaces, if nothing stood in the way.
+    """Normalize each scene to the mean irradiance that its lights would cause without occlusion.
 
     Not in the paper. A light's orientation changes how much of it arrives more than its strength does, and a small
     data set is too small to learn that product of three factors first. Twice the light then gives exactly twice
@@ -42,10 +42,10 @@ class MeanIrradianceExposure:
         emitter, target = (on_device(rows, area.device) for rows in emitters_and_objects(batch))
         corners = batch.positions[emitter]
         vector_area = 0.5 * torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        way = centroid[target] - corners.mean(1)
+        direction = centroid[target] - corners.mean(1)
         radius2 = area[target] / torch.pi
-        height2 = (vector_area * way).sum(-1).square() + batch.areas[emitter].square() * radius2 / 6
-        arriving = emission[emitter] * height2.sqrt() / (way.square().sum(-1) + radius2) ** 1.5
+        height2 = (vector_area * direction).sum(-1).square() + batch.areas[emitter].square() * radius2 / 6
+        arriving = emission[emitter] * height2.sqrt() / (direction.square().sum(-1) + radius2) ** 1.5
 
         scene = batch.scenes.index[target]
         total = arriving.new_zeros(len(batch.scenes)).index_add(0, scene, arriving * lit[target])

@@ -1,4 +1,4 @@
-"""The view-dependent stage: ray-bundle tokens of each view read the scene's tokens, in camera space."""
+"""Geometry-guided decoder (paper, Sec. 3.3): ray-bundle tokens of each view read the scene tokens in camera space."""
 
 from __future__ import annotations
 
@@ -10,40 +10,34 @@ import numpy as np
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
-from rfpp.model.attention import AttentionPattern
-from rfpp.model.block import CrossAttention, RMSNorm, SelfAttention, SwiGLU
-from rfpp.model.camera_space import to_camera
 from rfpp.model.dpt import LEVELS, DPTHead
-from rfpp.model.encoding import RelativeSpatialEncoding, Rotation, rotate
-from rfpp.model.guided_upsampling import GuidedUpsampling
-from rfpp.model.pixel_filter import CentreSample, PixelFilter
-from rfpp.model.points import means, repeated
-from rfpp.model.ray_bundle import CameraOrigin, FirstHitPosition, RayBundleEmbedding
-from rfpp.model.ray_windows import ShiftedWindows, WholeView
-from rfpp.model.shading import Shading
-from rfpp.model.tokenizer import SceneTokens
-from rfpp.model.view_channels import ViewChannels
+from rfpp.model.layers.attention import AttentionPattern
+from rfpp.model.layers.block import CrossAttention, RMSNorm, SelfAttention, SwiGLU
+from rfpp.model.layers.camera_space import to_camera
+from rfpp.model.layers.encoding import RelativeSpatialEncoding, Rotation, rotate
+from rfpp.model.layers.ray_windows import ShiftedWindows, WholeView
+from rfpp.model.layers.scene_tokens import SceneTokens
+from rfpp.model.ray_bundle import RayBundleEmbedding
 from rfpp.segments import Segments, on_device
 
 
 class ViewDecoder(nn.Module):
-    """VDecoder (paper, Sec. 3.3): cross-attention to the scene, self-attention in the view, SwiGLU; DPT head.
+    """VDecoder: cross-attention to the scene, self-attention in the view, SwiGLU; then a DPT head.
+
+    Ray tokens stand at the camera, the origin of camera space, so their positions rotate nothing.
 
     Args:
-        width, heads, hidden: token width, attention heads, SwiGLU width.
-        layers: decoder blocks, at least 4: the last four feed the head.
+        width: Token width D.
+        heads: Attention heads.
+        hidden: SwiGLU width.
+        layers: Decoder blocks, at least 4: the last four feed the head.
         frequencies: RSPE frequencies.
-        patch_size: pixels along a patch's side.
-        gbuffer_channels: see RayBundleEmbedding; empty for the decoder without geometry guidance.
-        head_level_channels, head_channels: see DPTHead.
-        ray_position: where ray tokens stand: CameraOrigin (the paper's) or FirstHitPosition.
-        shading: what the head predicts: LogRadiance (the paper's) or another of `rfpp.model.shading`.
-        film: what a pixel is made of: CentreSample (the paper's) or PixelFilter.
-        windows: which rays of a view see each other: WholeView (the paper's) or ShiftedWindows.
+        patch_size: Pixels along a patch's side.
+        gbuffer_channels: See `RayBundleEmbedding`; empty for the decoder without geometry guidance.
+        head_level_channels: See `DPTHead`.
+        head_channels: See `DPTHead`.
+        windows: Rays of a view that attend to each other: `WholeView` (the paper's) or `ShiftedWindows`.
     """
-
-    #: Whether the image of several lights is the sum of theirs.
-    linear_in_lights = False
 
     def __init__(
         self,
@@ -56,20 +50,16 @@ class ViewDecoder(nn.Module):
         gbuffer_channels: Sequence[str],
         head_level_channels: Sequence[int],
         head_channels: int,
-        ray_position: CameraOrigin | FirstHitPosition,
-        shading: Shading,
-        film: CentreSample | PixelFilter,
         windows: WholeView | ShiftedWindows,
     ):
         super().__init__()
         if layers < LEVELS:
             raise ValueError(f"the image head reads the last {LEVELS} decoder layers, but there are {layers}")
         self.rays = RayBundleEmbedding(width, patch_size, gbuffer_channels)
-        self.ray_position, self.shading, self.film, self.windows = ray_position, shading, film, windows
-        self.upsampling = GuidedUpsampling()
+        self.windows = windows
         self.position = RelativeSpatialEncoding(width // heads, frequencies)
         self.blocks = nn.ModuleList(DecoderBlock(width, heads, hidden) for _ in range(layers))
-        self.head = DPTHead(width, head_level_channels, head_channels, patch_size, shading.maps)
+        self.head = DPTHead(width, head_level_channels, head_channels, patch_size)
 
     def forward(
         self,
@@ -78,77 +68,43 @@ class ViewDecoder(nn.Module):
         fov: Float[Tensor, "b v"],
         gbuffer: Float[Tensor, "b v c h w"],
         exposure: Float[Tensor, " b"],
-        supersampling: int = 1,
-        stride: int = 1,
-    ) -> Float[Tensor, "b v 3 height width"]:
-        """Linear radiance of every view of every scene, in units of its exposure.
+    ) -> Float[Tensor, "b v 3 h w"]:
+        """Return log10(1 + radiance / exposure) of every view of every scene, float32.
 
         Args:
-            gbuffer: `gbuffer_channels`; light as it is.
-            exposure: radiance that the scene tokens call 1; what the decoder reads of light is divided by it.
-            supersampling: points of the G-buffer along each side of a pixel. Tokens read their means, radiance is
-                shaded point by point: smooth outlines for the price of a finer G-buffer.
-            stride: pixels along each side of what is one pixel to tokens and head. What the head says is carried to
-                pixels by a guided filter, and light is gathered and shaded there.
+            scene: Scene tokens after transport.
+            c2w: Camera-to-world matrices.
+            fov: Full angle in degrees along the longer image side.
+            gbuffer: `gbuffer_channels`, light in linear units.
+            exposure: Radiance that the scene tokens call 1.
         """
-        batch, views, _, *size = gbuffer.shape
-        height, width = (points // supersampling for points in size)
-        coarse = (height // stride, width // stride)
-        unit = exposure.repeat_interleave(views)
-        of_points = ViewChannels(gbuffer.flatten(0, 1), self.gbuffer_channels, unit)
-        of_pixels = self._completed(of_points.pooled(supersampling), scene)
-        of_rays = of_pixels.pooled(stride)
-        rays = self.rays(fov.flatten(), of_rays(self.rays.gbuffer_channels))  # [B V, patches, D]
-        patches = rays.shape[1]
-        grid = (coarse[0] // self.rays.patch_size, coarse[1] // self.rays.patch_size)
-        in_view = Segments.from_lengths([patches] * (batch * views), rays.device)
-        seen = SeenTokens.by(scene, c2w)
+        batch, views, _, height, width = gbuffer.shape
+        grid = (height // self.rays.patch_size, width // self.rays.patch_size)
+        rays = self.rays(fov.flatten(), gbuffer.flatten(0, 1), exposure.repeat_interleave(views))  # [B V, patches, D]
 
-        side = self.rays.patch_size * stride * supersampling
-        ray_points = self.ray_position(of_points(self.ray_position.channels), side)
-        ray_rotation = None if ray_points is None else self.position(ray_points)
+        seen = SeenTokens.by(scene, c2w)
         seen_rotation = self.position(seen.points)
+        in_view = Segments.from_lengths([rays.shape[1]] * (batch * views), rays.device)
         to_scene = AttentionPattern(in_view, seen.segments)
         among_rays = cycle(self.windows(batch * views, *grid, rays.device))
 
         x, features = rays.flatten(0, 1), []
         for block in self.blocks:
-            x = block(x, scene.features, seen.rows, to_scene, next(among_rays), ray_rotation, seen_rotation)
+            x = block(x, scene.features, seen.rows, to_scene, next(among_rays), seen_rotation)
             features.append(x)
 
         levels = [f.view(batch * views, *grid, -1).permute(0, 3, 1, 2) for f in features[-LEVELS:]]
-        maps = self.head(levels, *coarse)
-        if stride > 1:
-            guides = (of.linear(self.upsampling.channels) for of in (of_rays, of_pixels))
-            maps = self.upsampling(maps.float(), *guides)
-        radiance = self._shaded(maps, scene, of_pixels, of_points, supersampling)
-        return self.film(radiance, supersampling).view(batch, views, 3, height, width)
-
-    def _completed(self, of_pixels: ViewChannels, scene: SceneTokens) -> ViewChannels:
-        """With what rays are given besides the G-buffer: nothing."""
-        return of_pixels
-
-    def _shaded(
-        self,
-        maps: Float[Tensor, "n maps h w"],
-        scene: SceneTokens,
-        of_pixels: ViewChannels,
-        of_points: ViewChannels,
-        supersampling: int,
-    ) -> Float[Tensor, "n 3 h w"]:
-        """From the head's maps to linear radiance."""
-        predicted = repeated(maps, supersampling)
-        return means(self.shading(predicted, of_points(self.shading.channels)), supersampling)
+        log_radiance: Tensor = self.head(levels, height, width)
+        return log_radiance.view(batch, views, 3, height, width)
 
     @property
     def gbuffer_channels(self) -> tuple[str, ...]:
-        """The channels a batch must carry, in order: what any of the parts reads."""
-        parts = (self.ray_position, self.shading)
-        return tuple(dict.fromkeys([*self.rays.gbuffer_channels, *(name for part in parts for name in part.channels)]))
+        """G-buffer channels that a batch must carry, in order."""
+        return self.rays.gbuffer_channels
 
 
 class DecoderBlock(nn.Module):
-    """Rays read the scene, then each other, then think."""
+    """Cross-attention from rays to the scene, self-attention between rays, SwiGLU."""
 
     def __init__(self, width: int, heads: int, hidden: int):
         super().__init__()
@@ -164,25 +120,24 @@ class DecoderBlock(nn.Module):
         rows: Int[Tensor, " seen"],
         to_scene: AttentionPattern,
         among_rays: AttentionPattern,
-        ray_rotation: Rotation | None,
         seen_rotation: Rotation,
     ) -> Float[Tensor, "n width"]:
-        # projected once per scene; a view only picks its scene's rows and rotates them into its camera
+        # keys and values are projected once per scene; a view selects its scene's rows and rotates them into its camera
         keys, values = self.cross_attention.project(self.context_norm(scene))
         keys, values = rotate(keys.index_select(0, rows), seen_rotation), values.index_select(0, rows)
-        x = x + self.cross_attention(self.query_norm(x), keys, values, to_scene, ray_rotation)
-        x = x + self.self_attention(self.self_attention_norm(x), among_rays, ray_rotation)
+        x = x + self.cross_attention(self.query_norm(x), keys, values, to_scene, None)
+        x = x + self.self_attention(self.self_attention_norm(x), among_rays, None)
         out: Tensor = x + self.feed_forward(self.feed_forward_norm(x))
         return out
 
 
 @dataclass(frozen=True)
 class SeenTokens:
-    """The scene tokens as B·V cameras see them.
+    """Scene tokens as B·V cameras see them.
 
     Attributes:
-        rows: which token of the batch each row is, scene by scene, view by view.
-        points: [rows, 9] their points in camera space.
+        rows: Token of the batch that each row is, scene by scene, view by view.
+        points: [rows, 9] the tokens' points in camera space.
         segments: B·V segments of the rows.
     """
 
@@ -192,6 +147,7 @@ class SeenTokens:
 
     @classmethod
     def by(cls, scene: SceneTokens, c2w: Float[Tensor, "b v 4 4"]) -> SeenTokens:
+        """Transform each scene's tokens into the cameras of its views."""
         views = c2w.shape[1]
         starts = np.concatenate([[0], np.cumsum(scene.segments.lengths)])
         rows = np.concatenate(

@@ -10,8 +10,8 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
-from rfpp.gbuffer.first_hit import first_hit
 from rfpp.inference.renderer import Renderer
+from rfpp.raycast.first_hit import first_hit
 from rfpp.scene.packed import PackedScene
 from rfpp.serve.image_window import Frame
 from rfpp.serve.render_request import Asked
@@ -58,7 +58,7 @@ class Studio:
         """
         if (received := self.scenes.get(asked.scene)) is None:
             raise UnknownScene
-        frame = Frame.around(asked.window, asked.size, self.renderer.network.patch_size)
+        frame = Frame.around(asked.window, asked.size, self.renderer.engine.patch_size)
         camera = received.framing.camera(asked.camera(frame.fov))
         seen = replace(received.scene.seen_by([camera]), name="scene")
         with self._my_turn(has_left):

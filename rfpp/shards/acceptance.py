@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, fields
 
 from rfpp.errors import UserError
-from rfpp.gbuffer.direct_light import direct_radiance
+from rfpp.raycast.direct_light import direct_radiance
 from rfpp.scene.camera import camera_to_world
 from rfpp.scene.spec import Camera
 from rfpp.shards.scene_rays import SceneRays

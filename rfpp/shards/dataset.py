@@ -11,7 +11,7 @@ from itertools import accumulate
 from torch.utils.data import Dataset
 
 from rfpp.errors import ShardError
-from rfpp.gbuffer.first_hit import CHANNELS
+from rfpp.raycast.first_hit import CHANNELS
 from rfpp.shards.cache import ShardCache
 from rfpp.shards.index import SampleEntry
 from rfpp.shards.manifest import Manifest

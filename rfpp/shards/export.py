@@ -13,10 +13,10 @@ import numpy as np
 from jaxtyping import Float
 
 from rfpp.errors import SceneError, UserError
-from rfpp.gbuffer.direct_light import direct_radiance
-from rfpp.gbuffer.first_hit import channel, object_ids
 from rfpp.imaging.exr import write_exr
 from rfpp.imaging.panels import save_picture, tone_mapped
+from rfpp.raycast.direct_light import direct_radiance
+from rfpp.raycast.first_hit import channel, object_ids
 from rfpp.scene.io.renderformer_h5 import save_h5
 from rfpp.scene.io.renderformer_json import save_json
 from rfpp.scene.mesh import Mesh
@@ -61,7 +61,7 @@ def export_exr(sample: SceneSample, folder: Path) -> list[Path]:
     """Write a multi-layer EXR per view; HDR viewers show its reference image.
 
     Half precision, except float32 `depth` and `direct`. `triangle` and `object` count from 1; 0 means nothing is hit.
-    `direct` is the radiance of the first bounce; other layers are as in `rfpp.gbuffer.first_hit.CHANNELS`.
+    `direct` is the radiance of the first bounce; other layers are as in `rfpp.raycast.first_hit.CHANNELS`.
     """
     return [
         write_exr(folder / f"{sample.key}.view{view}.exr", _layers(sample, view)) for view in range(len(sample.images))

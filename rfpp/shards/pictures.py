@@ -9,10 +9,10 @@ from typing import SupportsFloat
 import numpy as np
 from jaxtyping import UInt8
 
-from rfpp.gbuffer.direct_light import direct_radiance
-from rfpp.gbuffer.first_hit import DirectLight, GBuffer, camera_caster, channel, first_hit, object_ids
-from rfpp.gbuffer.raycast import RayCaster
 from rfpp.imaging import panels
+from rfpp.raycast.direct_light import direct_radiance
+from rfpp.raycast.first_hit import DirectLight, GBuffer, camera_caster, channel, first_hit, object_ids
+from rfpp.raycast.raycast import RayCaster
 from rfpp.scene.packed import PackedScene, pack
 from rfpp.scene.spec import Scene
 from rfpp.scene.triangles import SceneTriangles

@@ -7,9 +7,9 @@ from typing import SupportsFloat
 import numpy as np
 from jaxtyping import Float
 
-from rfpp.gbuffer.first_hit import GBuffer, camera_caster, first_hit
-from rfpp.gbuffer.known_light import with_known_light
-from rfpp.gbuffer.light_sampler import LightSampler
+from rfpp.raycast.first_hit import GBuffer, camera_caster, first_hit
+from rfpp.raycast.known_light import with_known_light
+from rfpp.raycast.light_sampler import LightSampler
 from rfpp.scene.triangles import SceneTriangles
 
 
@@ -26,13 +26,13 @@ class SceneRays:
         self._lights = LightSampler(triangles)
 
     def first_hit(self, c2w: Float[np.ndarray, "4 4"], fov: SupportsFloat, resolution: int) -> GBuffer:
-        """Return the square G-buffer of one camera, without light (`rfpp.gbuffer.first_hit`)."""
+        """Return the square G-buffer of one camera, without light (`rfpp.raycast.first_hit`)."""
         return first_hit(self.triangles, c2w, fov, resolution, resolution, self._caster)
 
     def with_direct_light(
         self, gbuffer: GBuffer, c2w: Float[np.ndarray, "4 4"], fov: SupportsFloat, samples: int, seed: int
     ) -> GBuffer:
-        """Add direct light to a G-buffer of this scene (`rfpp.gbuffer.known_light`)."""
+        """Add direct light to a G-buffer of this scene (`rfpp.raycast.known_light`)."""
         return with_known_light(gbuffer, c2w, fov, self._lights, samples, seed, reflects=False)
 
     def gbuffers(

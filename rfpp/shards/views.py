@@ -8,7 +8,7 @@ import numpy as np
 from torch.utils.data import Dataset
 
 from rfpp.batch import SceneViews
-from rfpp.gbuffer.first_hit import stack_channels
+from rfpp.raycast.first_hit import stack_channels
 from rfpp.shards.dataset import ShardSplit
 from rfpp.shards.sample import SceneSample, ViewChoice
 

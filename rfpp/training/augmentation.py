@@ -1,4 +1,4 @@
-"""Random changes of stored views with known images: rigid motion and permuted colours."""
+"""Random changes of stored views with known images: rigid motion and permuted colors."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from rfpp.batch import SceneViews
-from rfpp.gbuffer.first_hit import CHANNELS, COLOUR_CHANNELS
+from rfpp.raycast.first_hit import CHANNELS, COLOR_CHANNELS
 from rfpp.scene.triangles import DIFFUSE, EMISSION, SPECULAR
 
 
@@ -50,17 +50,17 @@ def moved(views: SceneViews, rotation: np.ndarray, translation: np.ndarray) -> S
     return replace(views, triangles=triangles, c2w=(motion @ views.c2w).astype(np.float32))
 
 
-class ColourPermutation:
-    """Random permutation of the colour channels of materials, lights, G-buffers and images. Not in the paper."""
+class ColorPermutation:
+    """Random permutation of the color channels of materials, lights, G-buffers and images. Not in the paper."""
 
     def __call__(self, views: SceneViews, channels: Sequence[str], rng: np.random.Generator) -> SceneViews:
         order = rng.permutation(3)
         material = views.triangles.material.copy()
-        for colour in (DIFFUSE, SPECULAR, EMISSION):
-            material[:, colour] = material[:, colour][:, order]
+        for color in (DIFFUSE, SPECULAR, EMISSION):
+            material[:, color] = material[:, color][:, order]
         gbuffer, start = views.gbuffer.copy(), 0
         for name in channels:
-            if name in COLOUR_CHANNELS:
+            if name in COLOR_CHANNELS:
                 gbuffer[:, start : start + 3] = gbuffer[:, start : start + 3][:, order]
             start += CHANNELS[name]
         triangles = replace(views.triangles, material=material)

@@ -55,7 +55,7 @@ class RenderingModule(L.LightningModule):
             rendering.log_radiance,
             rendering.transport_states,
             batch.image,
-            rendering.state_segments,
+            rendering.token_segments,
         )
         scenes = len(batch.keys)
         self.log("train/loss", terms["loss"].detach(), prog_bar=True, batch_size=scenes)

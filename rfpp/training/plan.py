@@ -15,7 +15,7 @@ import torch
 from omegaconf import OmegaConf
 
 from rfpp.errors import UserError
-from rfpp.model.matrix_precision import matrix_dtype
+from rfpp.model.layers.matrix_precision import matrix_dtype
 
 #: The precision setting that picks the fastest precision of the device.
 AUTO = "auto"

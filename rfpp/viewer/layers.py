@@ -8,18 +8,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from rfpp.gbuffer.first_hit import CELL_CHANNELS, CHANNELS, COLOUR_CHANNELS
-from rfpp.imaging.panels import distinct_colours, false_colours
+from rfpp.imaging.panels import false_colours
 from rfpp.imaging.tone_maps import ToneMap
 from rfpp.inference.gbuffers import GBufferSource
 from rfpp.inference.light_mixing import LightMixer
 from rfpp.inference.renderer import Renderer
+from rfpp.raycast.first_hit import CHANNELS, COLOR_CHANNELS
 from rfpp.scene.packed import PackedScene
 
 Picture = UInt8[np.ndarray, "h w 3"]
 Size = tuple[int, int]
-#: Of `Renderer.render`: three times as fast as usual, with more noise and rougher outlines.
-_DRAFT = {"light_samples": 1, "supersampling": 1, "token_resolution": 64}
+#: Sampling of frames in motion: faster, with more noise and rougher outlines.
+_DRAFT = {"light_samples": 1, "supersampling": 1}
 
 
 class Layer(ABC):
@@ -41,43 +41,45 @@ class Layer(ABC):
 
 @dataclass(frozen=True)
 class Rendered(Layer):
-    """What the network renders.
+    """The rendered image.
 
     Attributes:
-        transports: how often its operator moves light; None: as often as it was trained for.
-        draft: of fewer samples, which such networks have whose pixels are shaded.
+        renderer: Renderer of the image.
+        transports: Transport iterations; None for the usual number.
+        is_draft: Whether to use fewer samples.
     """
 
     renderer: Renderer
     transports: int | None = None
-    draft: bool = False
+    is_draft: bool = False
 
     def picture(self, scene: PackedScene, size: Size, tone_map: ToneMap) -> Picture:
-        [radiance] = self.renderer.views(scene, size, transports=self.transports, **(_DRAFT if self.draft else {}))
+        [radiance] = self.renderer.views(scene, size, transports=self.transports, **(_DRAFT if self.is_draft else {}))
         return tone_map(radiance)
 
     @property
     def in_motion(self) -> Rendered:
-        return replace(self, draft=self.renderer.network.shades_points)
+        return replace(self, is_draft=self.renderer.engine.supersamples)
 
 
 @dataclass(frozen=True)
 class Mixed(Layer):
-    """What a network renders that is linear in lights: those are dimmed and coloured without running it again.
+    """The rendered image of a model that is linear in lights, which are dimmed and colored without rendering again.
 
     Attributes:
-        draft: see `Rendered`.
+        mixer: Renderer of single lights.
+        is_draft: See `Rendered`.
     """
 
     mixer: LightMixer
-    draft: bool = False
+    is_draft: bool = False
 
     def picture(self, scene: PackedScene, size: Size, tone_map: ToneMap) -> Picture:
-        return tone_map(self.mixer.image(scene, size, **(_DRAFT if self.draft else {})))
+        return tone_map(self.mixer.image(scene, size, **(_DRAFT if self.is_draft else {})))
 
     @property
     def in_motion(self) -> Mixed:
-        return replace(self, draft=self.mixer.renderer.network.shades_points)
+        return replace(self, is_draft=True)
 
     def at_once(self, scene: PackedScene, size: Size) -> bool:
         return self.mixer.ready(scene, size)
@@ -96,12 +98,10 @@ class Channel(Layer):
 
 
 def channel_picture(values: Float[np.ndarray, "c h w"], name: str, tone_map: ToneMap) -> Picture:
-    """Colours, directions, places and cells as colours, numbers in false colours; depth relative to the farthest."""
+    """Return vectors as colors and numbers in false colors; depth relative to the farthest point."""
     pixels = np.moveaxis(values, 0, -1)
-    if name in COLOUR_CHANNELS:
+    if name in COLOR_CHANNELS:
         return tone_map(pixels)
-    if name in CELL_CHANNELS:
-        return distinct_colours(pixels[..., 0].astype(int))  # of several rays the first
     if CHANNELS[name] == 1:
         return false_colours(pixels[..., 0] / max(pixels.max(), 1e-9) if name == "depth" else pixels[..., 0])
     hit = (pixels != 0).any(axis=-1, keepdims=True)
@@ -109,9 +109,9 @@ def channel_picture(values: Float[np.ndarray, "c h w"], name: str, tone_map: Ton
 
 
 def layers_of(renderer: Renderer) -> dict[str, Layer]:
-    """By the names that people choose from."""
-    transports = renderer.network.iterations
-    image = Mixed(LightMixer(renderer)) if renderer.network.linear_in_lights else Rendered(renderer)
+    """Return the layers by their names in the viewer."""
+    transports = renderer.engine.iterations
+    image = Mixed(LightMixer(renderer)) if renderer.engine.is_linear else Rendered(renderer)
     return (
         {"image": image}
         | {f"light after {k} transports": Rendered(renderer, k) for k in range(transports + 1) if transports}

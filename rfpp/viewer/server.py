@@ -142,6 +142,5 @@ class _Page:
         self.newest = drawn
         self._client.scene.set_background_image(drawn.picture, format="jpeg", jpeg_quality=_JPEG_QUALITY)
         height, width = drawn.rendered
-        encoded = f"{drawn.encoded} of {drawn.objects} objects encoded" if drawn.encoded else "no object encoded"
-        self._status.content = f"{width} × {height} in {1000 * drawn.seconds:.0f} ms, {encoded}"
+        self._status.content = f"{width} × {height} in {1000 * drawn.seconds:.0f} ms"
         self.tell(drawn)

@@ -55,22 +55,18 @@ class View:
 
 @dataclass(frozen=True)
 class Drawn:
-    """A picture and what it took.
+    """A finished picture.
 
     Attributes:
-        picture: 8 bits.
-        rendered: (height, width) of the network's image.
-        seconds: from scene to picture.
-        encoded: objects whose tokens were made anew.
-        objects: in the scene.
-        compared: the reference is in the picture.
+        picture: 8-bit picture.
+        rendered: (height, width) of the rendered image.
+        seconds: Time from scene to picture.
+        compared: Whether the picture contains the reference.
     """
 
     picture: Picture
     rendered: tuple[int, int]
     seconds: float
-    encoded: int
-    objects: int
     compared: bool
 
 
@@ -96,7 +92,7 @@ class Session:
         moving_seconds: float | int,
     ):
         self.renderer, self._turn, self._show, self._complain = renderer, turn, show, complain
-        self.pacing = Pacing(renderer.network.patch_size, moving_seconds)
+        self.pacing = Pacing(renderer.engine.patch_size, moving_seconds)
         self._view, self._closed = view, False
         self._changed = threading.Condition()
         self._packed: tuple[Scene | PackedScene, PackedScene] | None = None
@@ -147,18 +143,16 @@ class Session:
             return None if self._closed else self._view
 
     def _draw(self, view: View, layer: Layer, size: tuple[int, int], full: tuple[int, int]) -> Drawn:
-        objects = self.renderer.objects
         with self._turn:
-            before, begin = objects.encoded if objects else 0, time.perf_counter()
+            begin = time.perf_counter()
             scene = self.packed(view)
             at_once = layer.at_once(scene, size)
             picture = layer.picture(scene, size, view.tone_map)
             seconds = time.perf_counter() - begin
-            encoded = objects.encoded - before if objects else 0
         if not at_once and layer == layer.in_motion:  # others say nothing of what the next one in motion takes
             self.pacing.took(size, seconds)
         compared = bool(view.comparison and view.reference and view.reference.shows(view.scene, view.camera, full))
         if compared:
             reference = view.tone_map(view.reference.radiance)
             picture = view.comparison(enlarged(picture, full), reference, view.share)
-        return Drawn(picture, size, seconds, encoded, scene.triangles.num_objects, compared)
+        return Drawn(picture, size, seconds, compared)

@@ -22,7 +22,7 @@ STEPS = {"diffuse": 0.02, "specular": 0.002, "roughness": 0.02, "emissive": 40.0
 
 @pytest.fixture(scope="module")
 def ours() -> DifferentiableRenderer:
-    return DifferentiableRenderer(Renderer.load("rfpp-tiny", "cpu", "fp32"))
+    return DifferentiableRenderer(Renderer.load("radiosity", "cpu", "fp32"))
 
 
 @pytest.fixture(scope="module")
@@ -139,6 +139,6 @@ def test_each_wrong_material_is_refused_by_name(materials, named, ours, still):
 def test_scenes_without_cameras_and_networks_that_are_not_linear_are_refused(ours, still):
     with pytest.raises(SceneError, match="no camera"):
         ours.render(still.views([]), {}, 16)
-    other = Renderer(network("experiment=quickstart", "model=known_light"), checkpoint_info(resolution=(16, 16)))
-    with pytest.raises(UserError, match="use one of linear light"):
+    other = Renderer(network(), checkpoint_info(resolution=(16, 16)))
+    with pytest.raises(UserError, match="gradients: this network's image is not a sum"):
         DifferentiableRenderer(other)

@@ -11,12 +11,12 @@ import torch
 from networks import checkpoint_info, network
 from small_data import BoxFamily
 
-import rfpp.inference.gbuffers
 from rfpp import Renderer
 from rfpp.batch import RaggedBatch, SceneViews
 from rfpp.errors import SceneError, UserError
-from rfpp.gbuffer.first_hit import first_hit, stack_channels
 from rfpp.imaging.radiance import log_decode
+from rfpp.inference.network_engine import _computed_ahead
+from rfpp.raycast.first_hit import first_hit, stack_channels
 from rfpp.scene.packed import pack
 from rfpp.scene.spec import Camera
 
@@ -49,8 +49,9 @@ def test_a_picture_that_is_not_finite_is_an_error_that_says_why(scene):
 
 def test_and_so_is_one_of_a_scene_that_overflows(scene, monkeypatch):
     bright = Renderer(network(), checkpoint_info())
-    monkeypatch.setattr(bright, "_decode", lambda *args, **others: np.full((16, 16, 3), np.inf, np.float32))
-    with pytest.raises(UserError, match=r"pixels are not finite: its lights, its sizes"):
+    overflowing = lambda *args, **others: iter([np.full((16, 16, 3), np.inf, np.float32)])  # noqa: E731
+    monkeypatch.setattr(bright.engine, "views", overflowing)
+    with pytest.raises(UserError, match=r"pixels are not finite: its lights, sizes"):
         bright.render(scene)
 
 
@@ -68,29 +69,14 @@ def test_any_resolution_that_divides_into_patches(renderer, scene):
         renderer.render(scene, 30)
 
 
-@pytest.mark.parametrize("none", [{"light_samples": 0}, {"supersampling": 0}, {"token_resolution": 0}])
+@pytest.mark.parametrize("none", [{"light_samples": 0}, {"supersampling": 0}])
 def test_no_samples_are_refused(renderer, scene, none):
     with pytest.raises(UserError, match="give 1 or more of each"):
         renderer.render(scene, **none)
 
 
-def test_networks_that_shade_no_points_know_no_supersampling(renderer, scene):
+def test_supersampling_makes_no_difference_to_a_network(renderer, scene):
     np.testing.assert_array_equal(*(renderer.render(scene, supersampling=number) for number in (1, 3)))
-
-
-COARSE = {
-    "the paper's": ((), False),
-    "direct light, no positions": (("experiment=[ablation,direct_light]",), False),
-    "known light": (("experiment=quickstart", "model=known_light"), True),
-}
-
-
-@pytest.mark.parametrize(("overrides", "coarse"), COARSE.values(), ids=COARSE.keys())
-def test_tokens_see_coarse_pixels_where_what_they_say_can_be_carried_to_fine_ones(scene, overrides, coarse):
-    ours = Renderer(network(*overrides), checkpoint_info())
-    all_pixels, half = (ours.render(scene, 16, light_samples=4, token_resolution=n) for n in (16, 8))
-    assert ours.network.sees_coarse_pixels == coarse
-    assert np.array_equal(all_pixels, half) != coarse
 
 
 def test_views_are_independent_of_each_other(renderer, scene):
@@ -106,9 +92,9 @@ def test_other_cameras_than_the_scenes_own(renderer, scene):
 
 def test_the_scene_is_encoded_once(renderer, scene, monkeypatch):
     calls = []
-    ours = Renderer(renderer.network, renderer.info)
-    transported = ours.network.transported
-    monkeypatch.setattr(ours.network, "transported", lambda *args: calls.append(1) or transported(*args))
+    ours = renderer.fresh()
+    transported = ours.engine.module.transported
+    monkeypatch.setattr(ours.engine.module, "transported", lambda *args: calls.append(1) or transported(*args))
     ours.render(scene)
     ours.render(scene, cameras=scene.cameras[:1])  # another view of it
     assert calls == [1]
@@ -126,42 +112,29 @@ def test_the_image_is_the_networks_own(renderer, scene):
         [
             stack_channels(
                 first_hit(packed.triangles, c2w, fov, 16, 16), packed.triangles.material, fov,
-                renderer.network.gbuffer_channels,
+                renderer.engine.module.gbuffer_channels,
             )
             for c2w, fov in zip(packed.c2w, packed.fov, strict=True)
         ]
     )  # fmt: skip
     batch = RaggedBatch.pack([SceneViews("together", packed.triangles, packed.c2w, packed.fov, gbuffers)])
     with torch.inference_mode():
-        expected = log_decode(renderer.network(batch).log_radiance)[0].permute(0, 2, 3, 1).clamp_min(0).numpy()
+        expected = log_decode(renderer.engine.module(batch).log_radiance)[0].permute(0, 2, 3, 1).clamp_min(0).numpy()
     np.testing.assert_allclose(renderer.render(scene), expected, rtol=1e-4, atol=1e-5)
 
 
-def test_rays_of_the_next_view_are_cast_while_the_network_works(scene, monkeypatch):
-    renderer = Renderer(network(), checkpoint_info())
-    together = renderer.render(scene)
-    assert not renderer.casts_ahead  # both would work on the same cores
-    renderer = Renderer(renderer.network, checkpoint_info())
-    renderer.casts_ahead = True
-    begun = [Event() for _ in range(4)]
-    started, running_ahead = iter(begun), []
-    cast, view = rfpp.inference.gbuffers.first_hit, renderer.network.view
+def test_the_next_view_is_cast_while_this_one_is_decoded():
+    begun, seen = [Event() for _ in range(4)], []
 
-    def casting(*args):
-        next(started).set()
-        return cast(*args)
+    def cast(view: int) -> int:
+        begun[view].set()
+        return view
 
-    def decoding(*args):
-        number = len(running_ahead)
-        assert number == 2 or begun[number + 1].wait(timeout=60)
-        image = view(*args)
-        running_ahead.append(begun[min(number + 2, 3)].is_set())
-        return image
-
-    monkeypatch.setattr(rfpp.inference.gbuffers, "first_hit", casting)
-    monkeypatch.setattr(renderer.network, "view", decoding)
-    np.testing.assert_array_equal(renderer.render(scene), together)
-    assert running_ahead == [False] * 3  # no more than one view is kept ready
+    for view in _computed_ahead(cast, 4):
+        assert view == 3 or begun[view + 1].wait(timeout=60)
+        seen.append(view)
+        assert view >= 2 or not begun[view + 2].is_set()  # no more than one view is kept ready
+    assert seen == [0, 1, 2, 3]
 
 
 def test_images_come_one_by_one(renderer, scene):

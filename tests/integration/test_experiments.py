@@ -103,7 +103,7 @@ def test_large_scale_states_the_papers_settings(composed):
     parts = (*(cfg.model.decoder[name] for name in ("ray_position", "shading", "film")), cfg.model.exposure)
     names = [part._target_.rpartition(".")[2] for part in parts]
     assert names == ["CameraOrigin", "LogRadiance", "CentreSample", "UnitExposure"]
-    assert cfg.datamodule.augmentation.colour is None
+    assert cfg.datamodule.augmentation.color is None
     assert (cfg.loss.l1_weight, cfg.loss.lpips_weight, cfg.loss.consistency_weight) == (1.0, 0.05, 0.1)
     assert cfg.loss.lpips_images_per_step is None
     assert (cfg.data.resolution, cfg.data.views, cfg.reference.samples) == (256, 4, 4096)

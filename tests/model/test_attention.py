@@ -7,7 +7,7 @@ from attention_inputs import random_qkv, values_and_gradients
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rfpp.model.attention import AttentionPattern, attend, attend_bucketed, attend_loop
+from rfpp.model.layers.attention import AttentionPattern, attend, attend_bucketed, attend_loop
 from rfpp.segments import Segments
 
 

@@ -8,7 +8,7 @@ from networks import checkpoint_info, network
 
 from rfpp.errors import UserError
 from rfpp.inference.renderer import Renderer
-from rfpp.model.matrix_precision import matrix_dtype
+from rfpp.model.layers.matrix_precision import matrix_dtype
 
 CPU = torch.device("cpu")
 

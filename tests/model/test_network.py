@@ -10,10 +10,10 @@ from random_scenes import random_views
 
 from rfpp.batch import RaggedBatch
 from rfpp.losses.transport_consistency import TransportConsistency
-from rfpp.model.block import RMSNorm
-from rfpp.model.encoding import FrequencyEncoding, RelativeSpatialEncoding, rotate
-from rfpp.model.tokenizer import mean_by_object, object_anchors
-from rfpp.model.transport import EmissionEncoder
+from rfpp.model.hoct import mean_by_object, object_anchors
+from rfpp.model.layers.block import RMSNorm
+from rfpp.model.layers.encoding import FrequencyEncoding, RelativeSpatialEncoding, rotate
+from rfpp.model.pitg import EmissionEncoder
 from rfpp.segments import Segments
 
 

@@ -3,8 +3,8 @@
 import pytest
 import torch
 
-from rfpp.model.attention import AttentionPattern, attend, attend_loop
-from rfpp.model.ray_windows import ShiftedWindows, WholeView
+from rfpp.model.layers.attention import AttentionPattern, attend, attend_loop
+from rfpp.model.layers.ray_windows import ShiftedWindows, WholeView
 from rfpp.segments import Segments
 
 CPU = torch.device("cpu")

@@ -14,7 +14,7 @@ from marks import requires_blender
 from reference_presets import preset
 
 from rfpp.errors import SceneError, UserError
-from rfpp.gbuffer.first_hit import first_hit, object_ids
+from rfpp.raycast.first_hit import first_hit, object_ids
 from rfpp.reference.cycles import CyclesSettings, render, render_passes
 
 pytestmark = requires_blender

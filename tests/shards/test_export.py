@@ -12,9 +12,9 @@ from scene_families import scenes
 from stored_sample import stored_sample
 
 from rfpp.errors import SceneError, UserError
-from rfpp.gbuffer.first_hit import channel, object_ids
 from rfpp.imaging.exr import read_exr
 from rfpp.imaging.panels import tone_mapped
+from rfpp.raycast.first_hit import channel, object_ids
 from rfpp.scene.camera import camera_to_world
 from rfpp.scene.io.loading import load_scene
 from rfpp.scene.io.renderformer_h5 import load_images

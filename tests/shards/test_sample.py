@@ -7,7 +7,7 @@ import pytest
 from small_data import BoxFamily
 
 from rfpp.errors import ShardError
-from rfpp.gbuffer.first_hit import stack_channels
+from rfpp.raycast.first_hit import stack_channels
 from rfpp.scene.camera import camera_to_world
 from rfpp.scene.triangles import SceneTriangles
 from rfpp.shards.sample import SCHEMA_VERSION, SceneSample, decode, encode

@@ -1,4 +1,4 @@
-"""Rays of a camera as NumPy would make them: the twin of those that `rfpp.gbuffer.first_hit` casts."""
+"""Rays of a camera as NumPy would make them: the twin of those that `rfpp.raycast.first_hit` casts."""
 
 import math
 

@@ -2,13 +2,13 @@
 
 import numpy as np
 
-from rfpp.gbuffer import ggx
-from rfpp.gbuffer.cell_grid import CellGrid
-from rfpp.gbuffer.cell_table import DIRECTIONS, FLAT, SIDES
-from rfpp.gbuffer.lit_scene import CLEARANCE
-from rfpp.gbuffer.raycast import RayCaster
-from rfpp.gbuffer.surface import Surface
-from rfpp.gbuffer.vectors import tangents
+from rfpp.radiosity.cell_grid import CellGrid
+from rfpp.radiosity.cell_table import DIRECTIONS, FLAT, SIDES
+from rfpp.raycast import ggx
+from rfpp.raycast.lit_scene import CLEARANCE
+from rfpp.raycast.raycast import RayCaster
+from rfpp.raycast.surface import Surface
+from rfpp.raycast.vectors import tangents
 from rfpp.scene.triangles import EMISSION, SceneTriangles
 
 

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from small_data import make
 
-from rfpp.gbuffer.first_hit import first_hit, stack_channels
+from rfpp.raycast.first_hit import first_hit, stack_channels
 from rfpp.scene.triangles import DIFFUSE, EMISSION, SPECULAR
 from rfpp.shards.dataset import ShardSplit
 from rfpp.shards.views import AllViews
-from rfpp.training.augmentation import ColourPermutation, RigidMotion, moved
+from rfpp.training.augmentation import ColorPermutation, RigidMotion, moved
 
 CHANNELS = ("albedo", "normal", "position")
 
@@ -57,11 +57,11 @@ def test_moved_rotates_normals_with_the_triangles(split):
     np.testing.assert_allclose(turned.triangles.normals[..., 1], views.triangles.normals[..., 0], atol=1e-6)
 
 
-def test_colour_channels_trade_places_everywhere_at_once(split):
+def test_color_channels_trade_places_everywhere_at_once(split):
     views = AllViews(split, CHANNELS)[0]
     rng = np.random.default_rng(0)
     for _ in range(8):
-        swapped = ColourPermutation()(views, CHANNELS, rng)
+        swapped = ColorPermutation()(views, CHANNELS, rng)
         order = [int(np.argmax(np.isclose(swapped.image[0, c], views.image[0]).all((1, 2)))) for c in range(3)]
         assert sorted(order) == [0, 1, 2]
         for columns in (DIFFUSE, SPECULAR, EMISSION):

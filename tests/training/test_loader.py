@@ -47,7 +47,7 @@ def datamodule(root, rank: int = 0, ranks: int = 1, accumulate: int = 1, steps: 
         "scenes_per_step": PER_STEP, "scenes_per_device": None, "views_per_scene": 1, "partition": Contiguous(),
         "shuffle_shards": 2,
     }  # fmt: skip
-    augmentation = {"rigid": RigidMotion(1.0, 0.25), "colour": None}
+    augmentation = {"rigid": RigidMotion(1.0, 0.25), "color": None}
     others = {"gbuffer_channels": ("albedo",), "augmentation": augmentation, "workers": 0, "seed": 5}
     assert change.keys() <= {*source, *batching, *others}
     source, batching, others = (

@@ -15,7 +15,7 @@ from torch.optim.lr_scheduler import LRScheduler
 
 from rfpp.imaging.radiance import log_encode
 from rfpp.losses.log_l1 import log_l1
-from rfpp.model.refinement import Refinement
+from rfpp.radiosity.refinement import Refinement
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ import pytest
 import trimesh
 from known_scenes import look_at
 
-from rfpp.gbuffer.raycast import RayCaster
+from rfpp.raycast.raycast import RayCaster
 from rfpp.scene.io.loading import load_scene
 from rfpp.scene.packed import pack
 

@@ -9,9 +9,9 @@ import pytest
 from known_scenes import look_at, material, pack
 
 from rfpp.errors import SceneError
-from rfpp.gbuffer.first_hit import first_hit
-from rfpp.gbuffer.known_light import with_known_light
-from rfpp.gbuffer.light_sampler import LightSampler
+from rfpp.raycast.first_hit import first_hit
+from rfpp.raycast.known_light import with_known_light
+from rfpp.raycast.light_sampler import LightSampler
 from rfpp.scene.io.framing import Framing, default_camera
 from rfpp.scene.io.imported_scene import ImportedScene, Lamp, Part, plain_material
 from rfpp.scene.io.light_rig import USUAL, emitter, irradiance, lit

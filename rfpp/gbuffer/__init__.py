@@ -1,1 +1,0 @@
-"""Rays: what a camera sees first, its direct light and reflections, cells and what they see of each other."""

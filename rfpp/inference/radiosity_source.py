@@ -1,0 +1,98 @@
+"""Inputs of radiosity for a scene and its cameras, cached."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from rfpp.inference.bounded_cache import BoundedCache
+from rfpp.inference.digest import digest_of
+from rfpp.inference.gbuffers import GBufferSource, geometry_digest
+from rfpp.inference.plan import Plan
+from rfpp.radiosity.cell_finding import CellSources, cells_at
+from rfpp.radiosity.cell_places import CellPlaces, find_places
+from rfpp.radiosity.cell_tensors import row_of
+from rfpp.radiosity.cells import Cells
+from rfpp.radiosity.pixel_rays import SeenCells, see_cells
+from rfpp.radiosity.radiosity import Radiosity
+from rfpp.radiosity.view import View
+from rfpp.raycast.first_hit import GBuffer, channel
+from rfpp.scene.packed import PackedScene
+from rfpp.scene.triangles import SceneTriangles
+
+#: Memory of cells per triangle, about; small scenes have more cells than triangles.
+_CELL_BYTES_PER_TRIANGLE = 1000
+
+
+@dataclass(frozen=True, eq=False)
+class SeenView:
+    """G-buffer of a view, with the cells that its pixels see."""
+
+    gbuffer: GBuffer
+    cells: SeenCells
+
+
+class RadiositySource:
+    """Source of cells and views that caches what depends on geometry alone.
+
+    Args:
+        max_bytes: Limit of the caches of G-buffers and of cells, each.
+    """
+
+    def __init__(self, max_bytes: int = 1 << 30):
+        self.gbuffers = GBufferSource(Radiosity.gbuffer_channels, max_bytes)
+        self._cache: BoundedCache = BoundedCache(max_bytes)
+
+    def cells(self, triangles: SceneTriangles, light: str | None = None) -> tuple[Cells, CellSources]:
+        """Return the scene's cells and their dependence on materials.
+
+        Args:
+            triangles: The scene.
+            light: Object whose light alone counts; None for all lights.
+        """
+        key = ("cells", geometry_digest(triangles), digest_of(triangles.material), light)
+        size = _CELL_BYTES_PER_TRIANGLE * len(triangles)
+        places = self._places(triangles)
+        return self._cache.recall(key, size, lambda: cells_at(places, self.gbuffers.lights(triangles, light)))
+
+    def seen(self, plan: Plan, view: int, light: str | None = None, traced: bool = False) -> SeenView:
+        """Return a view's G-buffer and the cells that its pixels see; see `GBufferSource.gbuffer`."""
+        scene = plan.scene
+        gbuffer = self.gbuffers.gbuffer(scene, view, *plan.size, plan.light_samples, plan.points, light, traced)
+        lights, cell_map = self.gbuffers.lights(scene.triangles, light), self._places(scene.triangles).map
+        camera = scene.c2w[view], scene.fov[view]
+        return SeenView(gbuffer, see_cells(gbuffer, *camera, lights, cell_map, plan.light_samples, traced=traced))
+
+    def _places(self, triangles: SceneTriangles) -> CellPlaces:
+        def find() -> CellPlaces:
+            return find_places(triangles, self.gbuffers.shadow_caster(triangles))
+
+        key = ("places", geometry_digest(triangles))
+        return self._cache.recall(key, _CELL_BYTES_PER_TRIANGLE * len(triangles), find)
+
+
+def as_tensors(seen: SeenView, scene: PackedScene, view: int, cells: int, device: torch.device) -> View:
+    """Move a view to a device.
+
+    Args:
+        seen: The view.
+        scene: Its scene.
+        view: Number of the camera.
+        cells: C, the number of cells.
+        device: Device to move to.
+    """
+
+    def on_device(last: np.ndarray) -> torch.Tensor:
+        return torch.from_numpy(np.ascontiguousarray(np.moveaxis(last, -1, 0))).to(device)
+
+    gbuffer, material, fov = seen.gbuffer, scene.triangles.material, scene.fov[view]
+    names = ("diffuse", "glossy", "diffuse_onward", "glossy_onward")
+    return View(
+        channels={name: on_device(channel(gbuffer, material, fov, name)) for name in Radiosity.gbuffer_channels},
+        **{name: row_of(on_device(getattr(seen.cells, name)), cells) for name in names},
+        bounced=on_device(seen.cells.bounced),
+        fov=float(fov),
+        points=gbuffer.points,
+    )

@@ -1,0 +1,151 @@
+"""How a scene's surfaces are divided into cells: pieces small enough to be of one brightness."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from rfpp.radiosity.cell_table import DIRECTIONS, MOST_PIECES, NOWHERE, SIDES, CellTable, keys_each
+from rfpp.raycast.threads import over_rows
+from rfpp.scene.triangles import SceneTriangles
+
+#: Half an object is cut into so many pieces along an axis that they are about this long, in world units.
+CELL_EDGE = 0.2
+#: Moments that differ by less than this share are of a symmetric object, whose axes they do not tell.
+_SYMMETRIC = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class CellGrid:
+    """Every object cut up along its own principal axes, so that cells move with it.
+
+    A cell is a box of an object's grid and, of the surface in it, what faces one way: walls that meet in a corner are
+    lit differently, and so are the two sides of a sheet.
+
+    Attributes:
+        triangles: the scene.
+        centroid: [O, 3] of each object's surface.
+        axes: [O, 3, 3] rows: its principal axes, longest first.
+        half: [O, 3] how far it reaches along them.
+        pieces: [O, 3] into how many it is cut on either side of the centroid.
+    """
+
+    triangles: SceneTriangles
+    centroid: Float[np.ndarray, "o 3"]
+    axes: Float[np.ndarray, "o 3 3"]
+    half: Float[np.ndarray, "o 3"]
+    pieces: Int[np.ndarray, "o 3"]
+
+    @classmethod
+    def over(cls, triangles: SceneTriangles) -> CellGrid:
+        """The grid of a scene."""
+        bounds = triangles.object_offsets
+        parts = [triangles.positions[a:b].astype(np.float64) for a, b in pairwise(bounds)]
+        placed = [principal_axes(part) for part in parts]
+        centroid, axes = np.stack([c for c, _ in placed]), np.stack([a for _, a in placed])
+        reach = [
+            np.abs(np.einsum("ri,ki->rk", part.reshape(-1, 3) - c, a)).max(0)
+            for part, (c, a) in zip(parts, placed, strict=True)
+        ]
+        half = np.stack(reach)
+        pieces = np.clip(np.rint(half / CELL_EDGE), 1, MOST_PIECES).astype(np.int64)
+        return cls(triangles, centroid, axes, half, pieces)
+
+    @cached_property
+    def _direction(self) -> Int[np.ndarray, " m"]:
+        """Which way each triangle faces, in its object's axes."""
+        corners = self.triangles.positions.astype(np.float64)
+        normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        local = np.einsum("mij,mj->mi", self.axes[self.triangles.object_index], normal)
+        axis = np.abs(local).argmax(-1)
+        direction: np.ndarray = 2 * axis + (np.take_along_axis(local, axis[:, None], 1)[:, 0] < 0)
+        return direction
+
+    @cached_property
+    def first(self) -> Int[np.ndarray, " o_plus_1"]:
+        """Key of each object, and how many keys there are."""
+        first: np.ndarray = np.concatenate([[0], np.cumsum(8 * self._keys_of_octant)])
+        return first
+
+    @property
+    def _keys_of_octant(self) -> Int[np.ndarray, " o"]:
+        count: np.ndarray = self.pieces.prod(-1) * DIRECTIONS * SIDES
+        return count
+
+    def keys(
+        self, triangle: Int[np.ndarray, " r"], point: Float[np.ndarray, "r 3"], back: np.ndarray
+    ) -> Int[np.ndarray, " r"]:
+        """A number for the cell of each point on the front or the back of a triangle; the same for the same cell."""
+        keys = np.empty(len(triangle), np.int64)
+        over_rows(len(keys), keys_each, self._table(np.zeros(0, np.int64)), triangle, point, back, keys)
+        return keys
+
+    def table(self, keys: Int[np.ndarray, " k"], cell: Int[np.ndarray, " k"]) -> CellTable:
+        """What loops read, with the cells of these keys, which ascend."""
+        coarse, first = np.unique(self._sides_of_octants(keys), return_index=True)
+        of_side = np.full(8 * SIDES * len(self.pieces), NOWHERE)
+        of_side[coarse] = cell[first]
+        every = of_side[self._sides_of_octants(np.arange(self.first[-1]))]
+        every[keys] = cell
+        return self._table(every)
+
+    def _table(self, cell: Int[np.ndarray, " keys"]) -> CellTable:
+        owner = self.triangles.object_index.astype(np.int64)
+        placed = self.centroid, self.axes, self.half, self.pieces
+        return CellTable(owner, self._direction, *placed, self.first[:-1], cell)
+
+    def octants(self, keys: Int[np.ndarray, " c"]) -> Int[np.ndarray, " c"]:
+        """8 · object + octant of each cell."""
+        owner = np.searchsorted(self.first, keys, side="right") - 1
+        octants: np.ndarray = 8 * owner + (keys - self.first[owner]) // self._keys_of_octant[owner]
+        return octants
+
+    def _sides_of_octants(self, keys: Int[np.ndarray, " c"]) -> Int[np.ndarray, " c"]:
+        sides: np.ndarray = self.octants(keys) * SIDES + keys % SIDES
+        return sides
+
+
+def principal_axes(corners: Float[np.ndarray, "m 3 3"]) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, "3 3"]]:
+    """Centroid of a surface and its principal axes, as rows, longest first, each towards the heavier tail.
+
+    Second moments are exact over triangles. What a symmetric object leaves open its vertices decide, in their order, so
+    that rounding does not, which differs between processors: axes point to the first of the farthest vertices, and
+    where no tail is heavier, to the first of those that lie farthest along them.
+    """
+    area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=-1)
+    area = area / max(area.sum(), 1e-30)
+    centroid = np.einsum("m,mi->i", area, corners.mean(1))
+    spread = corners - centroid
+    total = spread.sum(1)
+    moment = (np.einsum("mci,mcj,m->ij", spread, spread, area) + np.einsum("mi,mj,m->ij", total, total, area)) / 12
+    size, vectors = np.linalg.eigh(moment)
+    vertices, axes = spread.reshape(-1, 3), []
+    open_axes = [vectors[:, k] for k in (2, 1, 0)]
+    sizes = size[::-1].tolist()
+    while open_axes:
+        alike = [axis for axis, s in zip(open_axes, sizes, strict=True) if sizes[0] - s <= _SYMMETRIC * size[-1]]
+        if len(alike) > 1:
+            within = np.einsum("vi,ki->vk", vertices, np.stack(alike))
+            farthest = within[_first_largest(np.square(within).sum(-1))]
+            turned = np.linalg.qr(np.column_stack([farthest, np.eye(len(alike))]))[0].T @ np.stack(alike)
+            open_axes[: len(alike)] = list(turned)
+        axes.append(open_axes.pop(0))
+        sizes.pop(0)
+    rows = np.stack(axes)
+    tail = np.einsum("m,mk->k", area, np.einsum("mi,ki->mk", corners.mean(1) - centroid, rows) ** 3)
+    along = np.einsum("vi,ki->vk", vertices, rows)
+    ends = np.array([row[_first_largest(np.abs(row))] for row in along.T])
+    side = np.where(np.abs(tail) > _SYMMETRIC * np.abs(ends) ** 3, tail, ends)
+    rows = rows * np.where(side < 0, -1.0, 1.0)[:, None]
+    if abs(ends[2]) <= _SYMMETRIC * abs(ends[0]):  # flat
+        rows[2] = np.cross(rows[0], rows[1])
+    return centroid, rows
+
+
+def _first_largest(values: Float[np.ndarray, " n"]) -> int:
+    """Where the first of those is that are largest but for rounding."""
+    return int(np.argmax(values >= values.max() * (1 - _SYMMETRIC)))

@@ -1,0 +1,272 @@
+"""Cells that rays end in, and what the glossy lobe of the surface there sends back along them; see `ray_ends`."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from rfpp.radiosity.cell_table import NOWHERE, CellTable, key_at
+from rfpp.raycast.compiled import compiled, int64
+from rfpp.raycast.counted_random import Key, key_of, uniform
+from rfpp.raycast.ggx import lobe_and_pdf
+from rfpp.raycast.light_loops import along_lobe, direct_at, rays_to_all
+from rfpp.raycast.lit_scene import (
+    LitScene,
+    alpha_of,
+    blurred,
+    density_of_lobes,
+    met,
+    scattering,
+    slope_of,
+    surface_there,
+)
+from rfpp.raycast.surface import Points
+from rfpp.raycast.traces import Trace
+from rfpp.raycast.vectors import (
+    BLACK,
+    GOLDEN,
+    Triple,
+    Vector,
+    added,
+    dot,
+    in_frame,
+    in_world,
+    mean,
+    normal_of,
+    product,
+    tangents,
+    triple,
+)
+
+#: Pixels along each side of a tile.
+_TILE = 4
+#: Numbers under a key: of the ray thrown on, of whether it is, of the light there.
+_WAY_U, _WAY_V, _SENT, _LIGHT = 0, 1, 2, 3
+
+
+class End(NamedTuple):
+    """What a ray meets.
+
+    Attributes:
+        triangle: -1 for none.
+        cell: NOWHERE for none.
+        onward: the cell in which the ray ends that the glossy lobe there throws on; NOWHERE for none, and in the share
+            in which the lobe, for all that its albedo does not say, sends no light on.
+        light: radiance of the emitters that comes back along the ray, by the lobes that were asked for.
+        by_diffuse, by_specular: its derivatives by the albedos there.
+    """
+
+    triangle: int
+    cell: int
+    onward: int
+    light: Triple
+    by_diffuse: Triple
+    by_specular: Triple
+
+
+@compiled
+def followed(
+    scene: LitScene,
+    table: CellTable,
+    origin: Vector,
+    way: Vector,
+    density: float,
+    key: Key,
+    wants_diffuse: bool,
+    wants_glossy: bool,
+    turn: int,
+) -> End:
+    """What a ray meets.
+
+    Args:
+        density: per solid angle, with which the surface that the ray leaves sends rays this way.
+        wants_diffuse, wants_glossy: of which lobes the emitters' light is wanted.
+        turn: number of the ray among those that gather together: they take turns where lights are many.
+    """
+    triangle, a, b, distance, there = met(scene, origin, way)
+    if triangle < 0:
+        return End(triangle, NOWHERE, NOWHERE, BLACK, BLACK, BLACK)
+    cell = _cell_met(scene, table, triangle, way, there)
+    # a ray that starts on another surface, where two touch, ends where it starts: it is not seen from anywhere
+    if scene.emitter[triangle] >= 0 or distance <= 0:
+        return End(triangle, cell, NOWHERE, BLACK, BLACK, BLACK)
+    diffuse, specular = triple(scene.material[triangle]), triple(scene.material[triangle, 3:6])
+    point, normal, back = surface_there(scene, triangle, a, b, way, there)
+    cosine = dot(normal, back)
+    shines = max(specular[0], specular[1], specular[2]) > 0 and cosine > 0
+    alpha = blurred(alpha_of(scene, triangle), density) if shines else -1.0
+    dull, glossy, slope = BLACK, BLACK, BLACK
+    if wants_diffuse or (wants_glossy and shines):
+        of_light, of_lobe = key_of(key, _LIGHT), alpha if wants_glossy else -1.0
+        dull, glossy = direct_at(
+            scene, point, normal, back, of_lobe, specular, 1, of_light, wants_diffuse, rays_to_all(scene), turn
+        )
+        dull = dull if wants_diffuse else BLACK
+    light = added(product(diffuse, dull), product(specular, glossy))
+    if not shines:
+        return End(triangle, cell, NOWHERE, light, dull, slope)
+    slope = slope_of(scene, glossy, cosine, alpha, specular)
+    first, second = tangents(normal)
+    view = in_frame(back, first, second, normal)
+    sent, way = thrown(
+        scene, view, alpha, specular, uniform(key, _WAY_U), uniform(key, _WAY_V), uniform(key, _SENT), first, second,
+        normal,
+    )  # fmt: skip
+    onward = NOWHERE
+    if sent:
+        other, _, _, _, there = met(scene, point, way)
+        onward = _cell_met(scene, table, other, way, there) if other >= 0 else NOWHERE
+    return End(triangle, cell, onward, light, dull, slope)
+
+
+@compiled
+def thrown(
+    scene: LitScene,
+    view: Vector,
+    alpha: float,
+    specular: Vector,
+    u: float,
+    v: float,
+    threshold: float,
+    first: Vector,
+    second: Vector,
+    normal: Vector,
+) -> tuple[bool, Triple]:
+    """Whether the glossy lobe throws a ray, and its direction.
+
+    The lobe absorbs a ray in the share in which it does not send its light on, beside what its albedo says.
+
+    Args:
+        view: in the frame of the two tangents and the normal.
+    """
+    toward, way = along_lobe(view, alpha, u, v, first, second, normal)
+    reflected, by_lobe = lobe_and_pdf(view, toward, alpha)
+    scale = 0.0
+    for c in range(3):
+        scale += scattering(scene, view[2], alpha, specular[c]) / 3
+    return scale * reflected / max(by_lobe, 1e-30) > threshold, way
+
+
+@compiled
+def follow_each(
+    start: int,
+    stop: int,
+    scene: LitScene,
+    table: CellTable,
+    origins: Float[np.ndarray, "r 3"],
+    ways: Float[np.ndarray, "r 3"],
+    density: Float[np.ndarray, " r"],
+    key: Key,
+    cell: Int[np.ndarray, " r"],
+    onward: Int[np.ndarray, " r"],
+    light: Float[np.ndarray, "r 3"],
+    triangle: Int[np.ndarray, " r"],
+    slope: Float[np.ndarray, "r 3"],
+) -> None:
+    """Rays one by one; see `followed`."""
+    for row in range(start, stop):
+        of_ray, origin, way = key_of(key, row), triple(origins[row]), triple(ways[row])
+        # what leaves to all sides of a cell is for the network to move
+        end = followed(scene, table, origin, way, density[row], of_ray, False, True, row)
+        triangle[row], cell[row], onward[row] = end.triangle, end.cell, end.onward
+        for c in range(3):
+            light[row, c], slope[row, c] = end.light[c], end.by_specular[c]
+
+
+@compiled
+def cells_seen(
+    start: int,
+    stop: int,
+    scene: LitScene,
+    table: CellTable,
+    points: Points,
+    point_of: Int[np.ndarray, "pixels of_pixel"],
+    width: int,
+    key: Key,
+    diffuse: Int[np.ndarray, "pixels rays"],
+    glossy: Int[np.ndarray, "pixels rays"],
+    diffuse_on: Int[np.ndarray, "pixels rays"],
+    glossy_on: Int[np.ndarray, "pixels rays"],
+    light: Float[np.ndarray, "pixels 3"],
+    trace: Trace,
+) -> None:
+    """The cells that pixels see; see `SeenCells`, whose arrays these fill in.
+
+    Args:
+        points: `rfpp.raycast.surface.Points`.
+        point_of: [pixels, points of each] rows of the points, -1 for none.
+        width: of the image in pixels.
+        light: [pixels, 3] of the emitters, that surfaces send to the diffuse rays.
+        trace: of `light`, to fill in (`rfpp.raycast.traces.Trace`).
+    """
+    rays, traced = diffuse.shape[1], trace.triangle.shape[1] > 0
+    for pixel in range(start, stop):
+        own_key = key_of(key, pixel)
+        y, x = pixel // width, pixel % width
+        # what a pixel's few rays miss, its neighbours' find: those of a tile's pixels together are one lattice
+        of_tile = key_of(key_of(key, -1), y // _TILE * width + x // _TILE)
+        place = y % _TILE * _TILE + x % _TILE
+        turn = uniform(own_key, -1)
+        for s in range(rays):
+            row = _start(point_of[pixel], s)
+            if row < 0:
+                continue
+            u, v = _of_lattice(place + _TILE * _TILE * s, rays * _TILE * _TILE, of_tile)
+            point, normal, alpha = triple(points.point[row]), triple(points.normal[row]), points.alpha[row]
+            specular = triple(points.specular[row])
+            first, second = tangents(normal)
+            view = in_frame(points.eye[row], first, second, normal)
+            # as dense as diffuse light arrives: points of a disc, lifted (Malley 1988)
+            radius, angle = np.sqrt(u), 2 * np.pi * v
+            toward = (radius * np.cos(angle), radius * np.sin(angle), np.sqrt(1 - u))
+            way = in_world(toward, first, second, normal)
+            # the density of the diffuse lobe alone: where the glossy lobe is dense, too, diffuse rays are as few as
+            # anywhere, and one that met a highlight in a mirror, not blurred, would light a window of pixels
+            end = followed(scene, table, point, way, toward[2] / np.pi, key_of(own_key, 2 * s), True, True, place + s)
+            diffuse[pixel, s], diffuse_on[pixel, s] = end.cell, end.onward
+            for c in range(3):
+                light[pixel, c] += end.light[c] / rays
+            if traced and end.triangle >= 0:
+                trace.triangle[pixel, s] = end.triangle
+                for c in range(3):
+                    trace.diffuse[pixel, s, c] = end.by_diffuse[c] / rays
+                    trace.specular[pixel, s, c] = end.by_specular[c] / rays
+            if alpha < 0:
+                continue
+            # each ray of a pixel is absorbed above a threshold of its own
+            threshold = (s + turn * rays) % rays / rays
+            sent, way = thrown(scene, view, alpha, specular, u, v, threshold, first, second, normal)
+            if not sent:
+                continue
+            toward, albedos = in_frame(way, first, second, normal), (mean(points.diffuse[row]), mean(specular))
+            density = density_of_lobes(*albedos, toward[2], lobe_and_pdf(view, toward, alpha)[1])
+            # the emitters' light that comes this way is in `reflected_light`
+            end = followed(scene, table, point, way, density, key_of(own_key, 2 * s + 1), False, False, 0)
+            glossy[pixel, s], glossy_on[pixel, s] = end.cell, end.onward
+
+
+@compiled
+def _start(point_of: Int[np.ndarray, " of_pixel"], number: int) -> int:
+    """The point from which a ray of a pixel starts: they take turns, and those that are on no surface are left out."""
+    for k in range(len(point_of)):
+        row = point_of[(number + k) % len(point_of)]
+        if row >= 0:
+            return int64(row)
+    return -1
+
+
+@compiled
+def _of_lattice(number: int, count: int, key: Key) -> tuple[float, float]:
+    """A point of the unit square: one of so many that are spread evenly, displaced."""
+    u, v = (number + 0.5) / count + uniform(key, 0), number * GOLDEN + uniform(key, 1)
+    return u % 1, v % 1
+
+
+@compiled
+def _cell_met(scene: LitScene, table: CellTable, triangle: int, way: Vector, point: Vector) -> int:
+    a, b, c = scene.positions[triangle]
+    back = dot(normal_of(triple(a), triple(b), triple(c)), way) > 0
+    cell: int = table.cell[key_at(table, triangle, point, back)]
+    return cell

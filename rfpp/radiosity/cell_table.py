@@ -1,0 +1,77 @@
+"""Which cell a point of a triangle belongs to: keys of places, and the table of what cell is at each."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from rfpp.raycast.compiled import compiled, int64
+from rfpp.raycast.vectors import Vector, dot, triple
+
+#: What a ray's end is called that meets no cell.
+NOWHERE = -1
+#: Half an object is cut into so many pieces along an axis at most.
+MOST_PIECES = 4
+#: An object that reaches less far along an axis than this share of its greatest reach is flat.
+FLAT = 1e-4
+#: Directions of a triangle in its object's axes: forwards or backwards along one of three; and its two sides.
+DIRECTIONS, SIDES = 6, 2
+
+
+class CellTable(NamedTuple):
+    """What loops read of a `CellMap`.
+
+    Attributes:
+        owner, direction: [M] object of each triangle, and which way it faces in the object's axes.
+        centroid, axes, half, pieces: see `CellGrid`.
+        first: [O] key of each object.
+        cell: of every key there can be: where none of our points lay, any of the same octant and side; NOWHERE where
+            there is none, or no light can reach it.
+    """
+
+    owner: Int[np.ndarray, " m"]
+    direction: Int[np.ndarray, " m"]
+    centroid: Float[np.ndarray, "o 3"]
+    axes: Float[np.ndarray, "o 3 3"]
+    half: Float[np.ndarray, "o 3"]
+    pieces: Int[np.ndarray, "o 3"]
+    first: Int[np.ndarray, " o"]
+    cell: Int[np.ndarray, " keys"]
+
+
+@compiled
+def key_at(table: CellTable, triangle: int, point: Vector, back: bool) -> int:
+    """A number for the cell of a point on the front or the back of a triangle; the same for the same cell."""
+    owner = table.owner[triangle]
+    half, pieces, centre = table.half[owner], table.pieces[owner], table.centroid[owner]
+    flat = FLAT * max(half[0], half[1], half[2])
+    away = (point[0] - centre[0], point[1] - centre[1], point[2] - centre[2])
+    octant, box = 0, 0
+    for k in range(3):
+        place = pieces[k]
+        if half[k] >= flat:  # else rounding alone would say on which side a point lies
+            place += int64(np.floor(dot(table.axes[owner, k], away) / max(half[k], 1e-9) * pieces[k]))
+        place = min(max(place, 0), 2 * pieces[k] - 1)
+        beyond = place >= pieces[k]
+        octant |= beyond << k  # octant first: it is what a token of HOCT stands for
+        box = box * pieces[k] + place - (pieces[k] if beyond else 0)
+    of_box = octant * pieces[0] * pieces[1] * pieces[2] + box
+    key: int = table.first[owner] + (of_box * DIRECTIONS + table.direction[triangle]) * SIDES + back
+    return key
+
+
+@compiled
+def keys_each(
+    start: int,
+    stop: int,
+    table: CellTable,
+    triangle: Int[np.ndarray, " r"],
+    points: Float[np.ndarray, "r 3"],
+    back: Bool[np.ndarray, " r"],
+    keys: Int[np.ndarray, " r"],
+) -> None:
+    """Keys of points."""
+    for row in range(start, stop):
+        keys[row] = key_at(table, triangle[row], triple(points[row]), back[row])

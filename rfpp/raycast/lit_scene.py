@@ -1,0 +1,150 @@
+"""What compiled loops read of a scene: triangles to cast rays at, their materials, and the emitters among them."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from rfpp.raycast import ggx
+from rfpp.raycast.compiled import compiled, float64
+from rfpp.raycast.embree import closest
+from rfpp.raycast.vectors import Triple, Vector, added, dot, normal_of, scaled, triple, unit
+
+#: Rays start and end this far from surfaces, in world units (a scene's edge is 1).
+CLEARANCE = 1e-4
+
+
+class LitScene(NamedTuple):
+    """M triangles, of which E emit, in L lights.
+
+    Attributes:
+        address: of the structure that rays are cast into (`rfpp.raycast.embree`).
+        positions, normals, material: as `SceneTriangles` has them.
+        emitter: [M] row of those that emit below, -1 for others.
+        corners, facing, radiance: [E, 3, 3], [E, 3] unit normals, of solid lights outwards, [E, 3], light by light.
+        steps: [E] sums of the shares that triangles have of the samples of their light, up to each.
+        density: [E] of samples of their light, per area.
+        first: [L + 1] emitters of each light.
+        shining: [L] whether its light is wanted.
+        exact: [L] whether Lambert's formula gives it: its triangles are few and parallel, or it is solid.
+        middle, reach: [L, 3], [L] of a sphere around each light.
+        solid: [L] whether its triangles are few and bound a convex body, of which a point sees the sides that face it.
+        albedo, mean_albedo: see `rfpp.raycast.ggx.lobe_albedo`.
+    """
+
+    address: int
+    positions: Float[np.ndarray, "m 3 3"]
+    normals: Float[np.ndarray, "m 3 3"]
+    material: Float[np.ndarray, "m 10"]
+    emitter: Int[np.ndarray, " m"]
+    corners: Float[np.ndarray, "e 3 3"]
+    facing: Float[np.ndarray, "e 3"]
+    radiance: Float[np.ndarray, "e 3"]
+    steps: Float[np.ndarray, " e"]
+    density: Float[np.ndarray, " e"]
+    first: Int[np.ndarray, " l_plus_1"]
+    shining: Bool[np.ndarray, " l"]
+    exact: Bool[np.ndarray, " l"]
+    solid: Bool[np.ndarray, " l"]
+    middle: Float[np.ndarray, "l 3"]
+    reach: Float[np.ndarray, " l"]
+    albedo: Float[np.ndarray, "table table"]
+    mean_albedo: Float[np.ndarray, " table"]
+
+
+@compiled
+def light_of(scene: LitScene, emitter: int) -> int:
+    """The light that an emitter belongs to."""
+    light = 0
+    while scene.first[light + 1] <= emitter:
+        light += 1
+    return light
+
+
+@compiled
+def met(scene: LitScene, origin: Vector, way: Vector) -> tuple[int, float, float, float, Triple]:
+    """What a ray meets: triangle (-1 for none), weights of its corners 1 and 2, distance, and the point."""
+    triangle, u, v, distance = closest(scene.address, origin, way)
+    return triangle, u, v, distance, added(origin, scaled(way, distance if triangle >= 0 else 0.0))
+
+
+@compiled
+def surface_there(
+    scene: LitScene, triangle: int, u: float, v: float, way: Vector, point: Vector
+) -> tuple[Triple, Triple, Triple]:
+    """Of what a ray of this direction has met: where rays from it start, its shading normal on the ray's side, and the
+    direction back."""
+    corners = scene.positions[triangle]
+    a, b, c = triple(corners[0]), triple(corners[1]), triple(corners[2])
+    face = unit(*normal_of(a, b, c))
+    corners = scene.normals[triangle]
+    a, b, c = triple(corners[0]), triple(corners[1]), triple(corners[2])
+    w = 1 - u - v
+    normal = unit(w * a[0] + u * b[0] + v * c[0], w * a[1] + u * b[1] + v * c[1], w * a[2] + u * b[2] + v * c[2])
+    side = -1.0 if dot(face, way) > 0 else 1.0
+    return added(point, scaled(face, side * CLEARANCE)), scaled(normal, side), scaled(way, -1.0)
+
+
+@compiled
+def scattering(scene: LitScene, cosine: float, alpha: float, specular: float) -> float:
+    """See `rfpp.raycast.ggx.multiple_scattering`: of one surface and colour."""
+    return ggx.scattered(scene.albedo, scene.mean_albedo, cosine, alpha, specular)
+
+
+@compiled
+def tinted(scene: LitScene, glossy: Vector, cosine: float, alpha: float, specular: Vector) -> Triple:
+    """Light of single scattering with that of multiple scattering, colour by colour."""
+    return (
+        glossy[0] * scattering(scene, cosine, alpha, specular[0]),
+        glossy[1] * scattering(scene, cosine, alpha, specular[1]),
+        glossy[2] * scattering(scene, cosine, alpha, specular[2]),
+    )
+
+
+@compiled
+def growth(scene: LitScene, cosine: float, alpha: float, specular: Vector) -> Triple:
+    """See `rfpp.raycast.ggx.scattering_growth`, colour by colour."""
+    return (
+        ggx.scattering_growth(scene.albedo, scene.mean_albedo, cosine, alpha, specular[0]),
+        ggx.scattering_growth(scene.albedo, scene.mean_albedo, cosine, alpha, specular[1]),
+        ggx.scattering_growth(scene.albedo, scene.mean_albedo, cosine, alpha, specular[2]),
+    )
+
+
+@compiled
+def slope_of(scene: LitScene, glossy: Vector, cosine: float, alpha: float, specular: Vector) -> Triple:
+    """Derivative of specular albedo · glossy light by that albedo, which colours multiple scattering as well."""
+    more = growth(scene, cosine, alpha, specular)
+    return (
+        glossy[0] * (1 + specular[0] * more[0]),
+        glossy[1] * (1 + specular[1] * more[1]),
+        glossy[2] * (1 + specular[2] * more[2]),
+    )
+
+
+@compiled
+def alpha_of(scene: LitScene, triangle: int) -> float:
+    """Of its glossy lobe."""
+    roughness = float64(scene.material[triangle, 6])
+    return max(roughness * roughness, ggx.MIN_ALPHA)
+
+
+@compiled
+def blurred(alpha: float, density: float) -> float:
+    """α of what is seen by rays of this density: at least √(1 - density) / 2, as "Filter Glossy" 1 of Cycles has it."""
+    spread: float = np.sqrt(max(1 - density, 0.0))
+    return max(alpha, 0.5 * spread)
+
+
+@compiled
+def density_of_lobes(diffuse: float, specular: float, cosine: float, by_lobe: float) -> float:
+    """With which both lobes of a surface together send out a ray, per solid angle.
+
+    Args:
+        diffuse, specular: mean albedos.
+        cosine: of the ray.
+        by_lobe: density of the glossy lobe's own rays.
+    """
+    return (diffuse * cosine / np.pi + specular * by_lobe) / max(diffuse + specular, 1e-12)

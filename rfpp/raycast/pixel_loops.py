@@ -1,0 +1,239 @@
+"""Direct light and reflections at the points of an image, with rays spent where they count; see `known_light`."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from rfpp.raycast import ggx
+from rfpp.raycast.compiled import compiled
+from rfpp.raycast.counted_random import Key, key_of, spread, uniform
+from rfpp.raycast.ggx import lobe_and_pdf
+from rfpp.raycast.light_loops import (
+    along_lobe,
+    direct_at,
+    emitter_light,
+    light_sample,
+    over_density,
+    rays_to_all,
+    sides_facing,
+)
+from rfpp.raycast.lit_scene import (
+    LitScene,
+    alpha_of,
+    blurred,
+    density_of_lobes,
+    growth,
+    met,
+    scattering,
+    slope_of,
+    surface_there,
+    tinted,
+)
+from rfpp.raycast.polygon_light import BLOCK, unhidden_each
+from rfpp.raycast.surface import Points
+from rfpp.raycast.traces import Trace
+from rfpp.raycast.vectors import BLACK, added, dot, in_frame, mean, product, scaled, tangents, triple
+
+#: What is summed of the samples of one light, for each point.
+WHOLE, VISIBLE, DIFFUSE, GLOSSY, LOBE, SQUARES, SUMS = 0, 1, 2, 5, 8, 9, 10
+
+
+@compiled
+def light_samples(
+    start: int,
+    stop: int,
+    scene: LitScene,
+    light: int,
+    points: Points,
+    begin: int,
+    end: int,
+    only: Bool[np.ndarray, " pixels"],
+    key: Key,
+    sums: Float[np.ndarray, "r sums"],
+) -> None:
+    """Adds samples of one light to the sums of each point.
+
+    Args:
+        points: `rfpp.raycast.surface.Points`.
+        begin, end: which samples of each point; the first starts the sums anew.
+        only: [pixels] those whose points are sampled.
+        sums: [R, SUMS].
+    """
+    if begin == 0:
+        sums[start:stop] = 0
+    for row in range(start, stop):
+        pixel = points.pixel[row]
+        if not only[pixel]:
+            continue
+        point, normal = triple(points.point[row]), triple(points.normal[row])
+        own, alpha = sums[row], points.alpha[row]
+        first, second = tangents(normal)
+        view = in_frame(points.eye[row], first, second, normal)
+        own_key = key_of(key_of(key, light), pixel)
+        sides, shift_u, shift_v = sides_facing(scene, light, point), uniform(own_key, 0), uniform(own_key, 1)
+        for s in range(begin, end):
+            # all samples of a pixel's points are spread over the light together
+            u, v = spread(s * points.of_pixel + points.nth[row], shift_u, shift_v)
+            e, way, density, arriving, clear = light_sample(scene, light, sides, point, normal, u, v)
+            own[WHOLE] += arriving
+            if not clear:
+                continue
+            own[VISIBLE] += arriving
+            toward = in_frame(way, first, second, normal)
+            by_area = 0.0 if scene.exact[light] else toward[2] / density / np.pi
+            by_lobe = 0.0
+            if alpha >= 0:
+                reflected, of_lobe = lobe_and_pdf(view, toward, alpha)
+                by_lobe = reflected * over_density(density, of_lobe)
+            shine = by_lobe * mean(scene.radiance[e])
+            own[LOBE] += shine
+            own[SQUARES] += shine * shine
+            for c in range(3):
+                own[DIFFUSE + c] += by_area * scene.radiance[e, c]
+                own[GLOSSY + c] += by_lobe * scene.radiance[e, c]
+
+
+@compiled
+def of_light(
+    start: int,
+    stop: int,
+    scene: LitScene,
+    light: int,
+    points: Points,
+    edge: Bool[np.ndarray, " pixels"],
+    few: int,
+    many: int,
+    sums: Float[np.ndarray, "r sums"],
+    room: Float[np.ndarray, "room r"],
+    diffuse: Float[np.ndarray, "r 3"],
+    glossy: Float[np.ndarray, "r 3"],
+) -> None:
+    """Adds the light of one light to what each point has.
+
+    Args:
+        few, many: samples of points away from edges, and there.
+        room: for what `rfpp.raycast.polygon_light.unhidden_each` finds.
+    """
+    for begin in range(start, stop, BLOCK):
+        end = min(begin + BLOCK, stop)
+        if scene.exact[light]:  # into the same numbers for every block, which are near
+            unhidden_each(begin, end, scene, light, points.point, points.normal, start, room)
+        for row in range(begin, end):
+            own, count = sums[row], (many if edge[points.pixel[row]] else few)
+            if own[VISIBLE] <= 0:
+                continue
+            in_sight, weight = own[VISIBLE] / own[WHOLE], 1 / count
+            for c in range(3):
+                exactly = room[c, start + row - begin] * in_sight if scene.exact[light] else 0.0
+                diffuse[row, c] += exactly + own[DIFFUSE + c] * weight
+                glossy[row, c] += own[GLOSSY + c] * weight
+
+
+@compiled
+def lobe_rays(
+    start: int,
+    stop: int,
+    scene: LitScene,
+    points: Points,
+    samples: int,
+    reflects: bool,
+    key: Key,
+    glossy: Float[np.ndarray, "r 3"],
+    light: Float[np.ndarray, "r 3"],
+    trace: Trace,
+) -> None:
+    """What rays of the glossy lobe bring: of emitters, and of surfaces that are lit by them.
+
+    Args:
+        points: `rfpp.raycast.surface.Points`.
+        samples: rays of a point, at most: a mirror's are all one, and of a weak lobe less noise is seen.
+        reflects: whether surfaces are of interest.
+        glossy: [R, 3] of the emitters; what light samples have brought, to which it is added.
+        light: [R, 3] to fill in: see `Reflection`.
+        trace: of `light`, to fill in (`rfpp.raycast.traces.Trace`).
+    """
+    traced = trace.triangle.shape[1] > 0
+    for row in range(start, stop):
+        alpha, specular = points.alpha[row], triple(points.specular[row])
+        if alpha < 0:
+            continue
+        point, normal = triple(points.point[row]), triple(points.normal[row])
+        first, second = tangents(normal)
+        view = in_frame(points.eye[row], first, second, normal)
+        own_diffuse, own_specular = mean(points.diffuse[row]), mean(specular)
+        own_key = key_of(key, points.pixel[row])
+        shift_u, shift_v = uniform(own_key, 0), uniform(own_key, 1)
+        count = _rays(samples, alpha, own_specular)
+        every = rays_to_all(scene) if count > 1 else 1
+        emitted, reflection = BLACK, BLACK
+        for s in range(count):
+            number = s * points.of_pixel + points.nth[row]
+            u, v = spread(number, shift_u, shift_v)
+            toward, way = along_lobe(view, alpha, u, v, first, second, normal)
+            if toward[2] <= 0:
+                continue
+            triangle, a, b, distance, there = met(scene, point, way)
+            if triangle < 0:
+                continue
+            if scene.emitter[triangle] >= 0:
+                found = emitter_light(scene, scene.emitter[triangle], point, way, distance, view, toward, alpha)
+                emitted = added(emitted, found)
+                continue
+            if not reflects or distance <= 0:
+                continue
+            reflected, by_lobe = lobe_and_pdf(view, toward, alpha)
+            weight = reflected / by_lobe
+            seen_from, its_normal, back = surface_there(scene, triangle, a, b, way, there)
+            its_diffuse, its_specular = triple(scene.material[triangle]), triple(scene.material[triangle, 3:6])
+            cosine = dot(its_normal, back)
+            shines = max(its_specular[0], its_specular[1], its_specular[2]) > 0 and cosine > 0
+            density = density_of_lobes(own_diffuse, own_specular, toward[2], by_lobe)
+            its_alpha = blurred(alpha_of(scene, triangle), density) if shines else -1.0
+            of_ray = key_of(own_key, 2 + number)
+            dull, glossy_there = direct_at(
+                scene, seen_from, its_normal, back, its_alpha, its_specular, 1, of_ray, True, every, number
+            )
+            leaving = added(product(its_diffuse, dull), product(its_specular, glossy_there))
+            reflection = added(reflection, scaled(leaving, weight))
+            if not traced:
+                continue
+            trace.triangle[row, s] = triangle
+            slope = slope_of(scene, glossy_there, cosine, its_alpha, its_specular) if shines else glossy_there
+            for c in range(3):
+                trace.diffuse[row, s, c], trace.specular[row, s, c] = weight * dull[c], weight * slope[c]
+        emitted = tinted(scene, scaled(emitted, 1 / count), view[2], alpha, specular)
+        more = growth(scene, view[2], alpha, specular) if traced else BLACK
+        for c in range(3):
+            factor = scattering(scene, view[2], alpha, specular[c])
+            glossy[row, c] = glossy[row, c] * factor + emitted[c]
+            light[row, c] = reflection[c] * factor / count
+            if not traced:
+                continue
+            trace.growth[row, c] = more[c]
+            for s in range(count):
+                trace.diffuse[row, s, c] *= factor / count
+                trace.specular[row, s, c] *= factor / count
+
+
+@compiled
+def to_image(
+    start: int,
+    stop: int,
+    pixel: Int[np.ndarray, " r"],
+    light: Float[np.ndarray, "n r 3"],
+    maps: Float[np.ndarray, "n pixels 3"],
+) -> None:
+    """Writes what was found at points to their pixels."""
+    for kind in range(len(light)):
+        for row in range(start, stop):
+            for c in range(3):
+                maps[kind, pixel[row], c] = light[kind, row, c]
+
+
+@compiled
+def _rays(samples: int, alpha: float, specular: float) -> int:
+    """Of a point's glossy lobe."""
+    if alpha <= ggx.MIN_ALPHA:
+        return 1
+    return min(max(int(np.ceil(samples * min(4 * specular, 1.0))), 1), samples)

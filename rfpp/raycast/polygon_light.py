@@ -1,0 +1,181 @@
+"""How much light triangles that shine evenly send to a point: Lambert's formula, exact, horizon included."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+
+from rfpp.raycast.compiled import compiled
+from rfpp.raycast.lit_scene import LitScene
+from rfpp.raycast.vectors import BLACK, Triple, Vector, added, dot, scaled, triple
+
+#: In place of the factor of a triangle that a point's horizon cuts.
+_CUT = -1.0
+#: Rows of the room that `unhidden_each` wants.
+ROOM = 10
+#: Points whose numbers stay in a core's cache while all triangles of a light pass by.
+BLOCK = 512
+
+
+def form_factor(
+    points: Float[np.ndarray, "r 3"], normals: Float[np.ndarray, "r 3"], corners: Float[np.ndarray, "e 3 3"]
+) -> Float[np.ndarray, "r e"]:
+    """Irradiance / (π · radiance) at each point from each triangle with nothing in between, from either of its sides.
+
+    The part of a triangle below the horizon of `normals` sends nothing. The sum of angle · (unit normal of the
+    plane through the point and an edge) over the edges of the visible part, along the surface normal, over 2π; where
+    the horizon cuts the triangle, the cut is one more edge (Lambert 1760; Baum et al. 1989 for the clipping).
+    """
+    factors = np.empty((len(points), len(corners)))
+    points, normals, corners = (np.ascontiguousarray(x, np.float64) for x in (points, normals, corners))
+    _each(points, normals, corners, factors)
+    return factors
+
+
+@compiled
+def _each(
+    points: Float[np.ndarray, "r 3"],
+    normals: Float[np.ndarray, "r 3"],
+    corners: Float[np.ndarray, "e 3 3"],
+    factors: Float[np.ndarray, "r e"],
+) -> None:
+    for row in range(len(points)):
+        for triangle in range(len(corners)):
+            factors[row, triangle] = of_triangle(points[row], normals[row], corners[triangle])
+
+
+@compiled
+def of_triangle(point: Vector, normal: Vector, corners: Float[np.ndarray, "3 3"]) -> float:
+    """See `form_factor`: of one triangle at one point."""
+    a, b, c = _away(point, corners[0]), _away(point, corners[1]), _away(point, corners[2])
+    above_a, above_b, above_c = dot(a, normal), dot(b, normal), dot(c, normal)
+    if above_a <= 0 and above_b <= 0 and above_c <= 0:
+        return 0.0
+    if above_a > 0 and above_b > 0 and above_c > 0:
+        return abs(_edge(a, b, normal) + _edge(b, c, normal) + _edge(c, a, normal)) / (2 * np.pi)
+    total, leaving, entering = 0.0, BLACK, BLACK
+    for _ in range(3):
+        if above_a > 0 or above_b > 0:
+            first, second = a, b
+            if above_a <= 0 or above_b <= 0:
+                share = above_a / (above_a - above_b)
+                crossing = added(a, scaled(added(b, scaled(a, -1.0)), share))
+                if above_a > 0:
+                    second = leaving = crossing
+                else:
+                    first = entering = crossing
+            total += _edge(first, second, normal)
+        a, b, c, above_a, above_b, above_c = b, c, a, above_b, above_c, above_a
+    return abs(total + _edge(leaving, entering, normal)) / (2 * np.pi)
+
+
+@compiled
+def unhidden_each(
+    start: int,
+    stop: int,
+    scene: LitScene,
+    light: int,
+    points: Float[np.ndarray, "r 3"],
+    normals: Float[np.ndarray, "r 3"],
+    first: int,
+    room: Float[np.ndarray, "room r"],
+) -> None:
+    """Irradiance / π of a light, with nothing in between, at points taken several at once, best BLOCK of them.
+
+    Args:
+        light: of which the formula holds (`LitScene.exact`).
+        first: column of the room that the first point's numbers go to.
+        room: its first three rows are written, red to blue; the others are numbers by the way.
+    """
+    last = first + stop - start
+    red, green, blue, own = room[0, first:last], room[1, first:last], room[2, first:last], room[3, first:last]
+    x, y, z = room[4, first:last], room[5, first:last], room[6, first:last]
+    along_x, along_y, along_z = room[7, first:last], room[8, first:last], room[9, first:last]
+    red[:], green[:], blue[:] = 0, 0, 0
+    for row in range(stop - start):
+        x[row], y[row], z[row] = triple(points[start + row])
+        along_x[row], along_y[row], along_z[row] = triple(normals[start + row])
+    for e in range(scene.first[light], scene.first[light + 1]):
+        corners, radiance = scene.corners[e], triple(scene.radiance[e])
+        outwards = triple(scene.facing[e]) if scene.solid[light] else BLACK
+        if not _shines_at(x, y, z, triple(corners[0]), outwards):
+            continue
+        _of_triangle_at(x, y, z, along_x, along_y, along_z, corners, outwards, own)
+        for row in range(stop - start):
+            if own[row] == _CUT:
+                point, normal = (x[row], y[row], z[row]), (along_x[row], along_y[row], along_z[row])
+                own[row] = of_triangle(point, normal, corners)
+        for row in range(stop - start):
+            red[row] += own[row] * radiance[0]
+            green[row] += own[row] * radiance[1]
+            blue[row] += own[row] * radiance[2]
+
+
+@compiled
+def _shines_at(
+    x: Float[np.ndarray, " r"], y: Float[np.ndarray, " r"], z: Float[np.ndarray, " r"], corner: Vector, outwards: Triple
+) -> bool:
+    """Whether any of the points is on the side of a triangle that shines."""
+    nearest = np.inf
+    for row in range(len(x)):
+        nearest = min(nearest, dot(_away((x[row], y[row], z[row]), corner), outwards))
+    shines: bool = nearest <= 0
+    return shines
+
+
+@compiled
+def _of_triangle_at(
+    x: Float[np.ndarray, " r"],
+    y: Float[np.ndarray, " r"],
+    z: Float[np.ndarray, " r"],
+    along_x: Float[np.ndarray, " r"],
+    along_y: Float[np.ndarray, " r"],
+    along_z: Float[np.ndarray, " r"],
+    corners: Float[np.ndarray, "3 3"],
+    outwards: Triple,
+    factor: Float[np.ndarray, " r"],
+) -> None:
+    """Writes the factor of a triangle that shines only outwards, if that is a direction, at many points.
+
+    A loop that stores one number at the end and takes the same way for all, so that the compiler has a core do several
+    points at once: it takes a seventh of the time.
+    """
+    corner_a, corner_b, corner_c = triple(corners[0]), triple(corners[1]), triple(corners[2])
+    for row in range(len(x)):
+        point, normal = (x[row], y[row], z[row]), (along_x[row], along_y[row], along_z[row])
+        a, b, c = _away(point, corner_a), _away(point, corner_b), _away(point, corner_c)
+        above_a, above_b, above_c = dot(a, normal), dot(b, normal), dot(c, normal)
+        whole = abs(_edge(a, b, normal) + _edge(b, c, normal) + _edge(c, a, normal)) / (2 * np.pi)
+        whole = whole if min(above_a, above_b, above_c) > 0 else _CUT
+        whole = whole if max(above_a, above_b, above_c) > 0 else 0.0
+        factor[row] = whole if dot(a, outwards) <= 0 else 0.0
+
+
+@compiled
+def _away(point: Vector, corner: Vector) -> Triple:
+    return corner[0] - point[0], corner[1] - point[1], corner[2] - point[2]
+
+
+def _fitted(degree: int) -> tuple[float, ...]:
+    """Coefficients of a polynomial in x that is arccos(x) / sin(arccos(x)) for x in [0, 1], highest power first."""
+    middle = (np.cos(np.pi * (np.arange(degree + 1) + 0.5) / (degree + 1)) + 1) / 2  # Chebyshev's points
+    angle = np.arccos(middle)
+    return tuple(np.polyfit(middle, angle / np.sin(angle), degree).tolist())
+
+
+#: To 4e-9; with arctangents direct light takes a twentieth longer.
+_ANGLE_OVER_SINE = _fitted(10)
+
+
+@compiled
+def _edge(a: Vector, b: Vector, normal: Vector) -> float:
+    """angle(a, b) · (unit a × b) · normal."""
+    across = (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
+    scale = 1 / np.sqrt(max(dot(a, a) * dot(b, b), 1e-60))
+    cosine, ratio = dot(a, b) * scale, 0.0
+    for coefficient in _ANGLE_OVER_SINE:
+        ratio = ratio * min(abs(cosine), 1.0) + coefficient
+    if cosine < 0:  # π less the angle to -b; the sine of a × b, which 1 - cosine² would lose beside an edge
+        ratio = np.pi / max(np.sqrt(dot(across, across)) * scale, 1e-30) - ratio
+    found: float = dot(across, normal) * scale * ratio
+    return found

@@ -1,0 +1,104 @@
+"""Triangles and rays to hits. Only this and `embree` know the ray-tracing library."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from rfpp.raycast.compiled import compiled
+from rfpp.raycast.embree import Structure, blocked, closest, embree
+from rfpp.raycast.threads import over_rows
+
+
+class Hits(NamedTuple):
+    """The nearest hit of each of R rays; where there is none, -1, zeros and infinity.
+
+    Attributes:
+        triangle: [R] int32 index of the triangle, -1 for none.
+        barycentric: [R, 3] float32 weights of the triangle's corners 0, 1, 2.
+        distance: [R] float32 along the ray, in lengths of its direction.
+    """
+
+    triangle: Int[np.ndarray, " r"]
+    barycentric: Float[np.ndarray, "r 3"]
+    distance: Float[np.ndarray, " r"]
+
+
+class RayCaster:
+    """An acceleration structure over triangles, possibly none at all; built once, cast many times.
+
+    Args:
+        positions: [M, 3, 3] float32 corners.
+
+    Raises:
+        MissingDependencyError: Embree is not installed.
+
+    Attributes:
+        address: of the structure, for compiled loops (`rfpp.raycast.embree`); 0 for no triangles.
+    """
+
+    def __init__(self, positions: Float[np.ndarray, "m 3 3"]) -> None:
+        embree()  # compiled loops name its functions
+        self._count = len(positions)
+        self._structure = Structure(positions) if self._count else None
+        self.address = self._structure.address if self._structure else 0
+
+    def __len__(self) -> int:
+        """The number of triangles."""
+        return self._count
+
+    def cast(self, origins: Float[np.ndarray, "r 3"], directions: Float[np.ndarray, "r 3"]) -> Hits:
+        """The nearest triangle in front of each ray; both sides of a triangle count."""
+        count = len(origins)
+        hits = Hits(np.empty(count, np.int32), np.empty((count, 3), np.float32), np.empty(count, np.float32))
+        over_rows(count, _cast, self.address, _packed(origins), _packed(directions), *hits)
+        return hits
+
+    def occluded(
+        self,
+        origins: Float[np.ndarray, "r 3"],
+        directions: Float[np.ndarray, "r 3"],
+        max_distance: Float[np.ndarray, " r"],
+    ) -> Bool[np.ndarray, " r"]:
+        """Whether anything lies on each ray nearer than `max_distance` (in lengths of its direction)."""
+        found = np.empty(len(origins), np.bool_)
+        reach = np.ascontiguousarray(max_distance, dtype=np.float32)
+        over_rows(len(origins), _occluded, self.address, _packed(origins), _packed(directions), reach, found)
+        return found
+
+
+def _packed(vectors: np.ndarray) -> np.ndarray:
+    return np.ascontiguousarray(vectors, dtype=np.float32)
+
+
+@compiled
+def _cast(
+    first: int,
+    last: int,
+    address: int,
+    origins: Float[np.ndarray, "r 3"],
+    ways: Float[np.ndarray, "r 3"],
+    triangle: Int[np.ndarray, " r"],
+    barycentric: Float[np.ndarray, "r 3"],
+    distance: Float[np.ndarray, " r"],
+) -> None:
+    for row in range(first, last):
+        hit, u, v, reach = closest(address, origins[row], ways[row])
+        triangle[row], distance[row] = hit, reach
+        barycentric[row, 0], barycentric[row, 1], barycentric[row, 2] = (1 - u - v if hit >= 0 else 0.0), u, v
+
+
+@compiled
+def _occluded(
+    first: int,
+    last: int,
+    address: int,
+    origins: Float[np.ndarray, "r 3"],
+    ways: Float[np.ndarray, "r 3"],
+    reach: Float[np.ndarray, " r"],
+    found: Bool[np.ndarray, " r"],
+) -> None:
+    for row in range(first, last):
+        found[row] = blocked(address, origins[row], ways[row], reach[row])
