@@ -45,9 +45,7 @@ class TrainingPlan:
         return {name: value for name, value in asdict(self).items() if name != "ranks"}
 
 
-def plan_training(
-    trainer: Mapping[str, Any], accumulation: Callable[[int], int], resumed: Path | None
-) -> TrainingPlan:
+def plan_training(trainer: Mapping[str, Any], accumulation: Callable[[int], int], resumed: Path | None) -> TrainingPlan:
     """Plan a training run.
 
     `trainer.val_check_interval` counts optimizer steps and Lightning counts batches. A run shorter than the interval

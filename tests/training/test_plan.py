@@ -74,7 +74,8 @@ def test_the_run_s_configuration_records_the_plan(tmp_path):
     data = make(tmp_path / "small", splits={"train": 4, "validation": 2}).root
     (tmp_path / "runs").mkdir()
     run = tmp_path / "runs" / "run"
-    train(run, data, "logger=none", "steps=1", "trainer.val_check_interval=7", "datamodule.batching.scenes_per_device=2")
+    halves = "datamodule.batching.scenes_per_device=2"
+    train(run, data, "logger=none", "steps=1", "trainer.val_check_interval=7", halves)
     config = OmegaConf.load(run / "config.yaml")
     assert config.trainer.precision == "auto"
     assert config.plan == {

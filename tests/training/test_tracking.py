@@ -95,7 +95,7 @@ def test_records_sent_twice_are_stored_once(store):
     first.log_file(_png(store / "run" / "a.png"), "pictures")
     first.finalize("success")
     target = store / "run/tracking/run.json"
-    target.write_text(json.dumps(json.loads(target.read_text()) | {"sent": 0}))  # as if killed before it was written
+    target.write_text(json.dumps(json.loads(target.read_text()) | {"sent": 0}))  # not written yet
 
     assert send([str(store / "run")]) == 0
     (run,) = runs(store)
@@ -122,7 +122,7 @@ def test_a_lost_run_id_is_found_again(store):
     first.log_metrics({"a": 0.0}, 2)
     first.finalize("success")
     target = store / "run/tracking/run.json"
-    target.write_text(json.dumps(json.loads(target.read_text()) | {"run_id": None}))  # as if killed before it was written
+    target.write_text(json.dumps(json.loads(target.read_text()) | {"run_id": None}))  # not written yet
     again = logger(store)
     again.log_metrics({"a": 1.0}, 3)
     again.finalize("success")

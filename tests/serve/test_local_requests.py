@@ -1,10 +1,10 @@
-"""Programs and pages of this machine are told from strangers' pages."""
+"""Requests of this machine are accepted, those of foreign web pages refused."""
 
 import socket
 
 import pytest
 
-from rfpp.own_machine import refusal
+from rfpp.serve.local_requests import reason_to_refuse
 
 
 @pytest.mark.parametrize(
@@ -17,8 +17,8 @@ from rfpp.own_machine import refusal
         (f"{socket.gethostname()}:8080", None),
     ],
 )
-def test_addresses_of_this_machine_are_answered(host, origin):
-    assert refusal(host, origin) is None
+def test_addresses_of_this_machine_are_accepted(host, origin):
+    assert reason_to_refuse(host, origin) is None
 
 
 @pytest.mark.parametrize(
@@ -33,5 +33,5 @@ def test_addresses_of_this_machine_are_answered(host, origin):
         ("127.0.0.1.page.example:8080", None),
     ],
 )
-def test_others_are_not(host, origin):
-    assert refusal(host, origin) is not None
+def test_others_are_refused(host, origin):
+    assert reason_to_refuse(host, origin) is not None
