@@ -107,6 +107,4 @@ def find_defect(path: Path) -> str | None:
 def _require_same_network(path: Path, model: dict[str, Any]) -> None:
     about = read_checkpoint(path, mmap=True)[CHECKPOINT_KEY]
     if not isinstance(about, dict) or about.get("model") != model:
-        raise CheckpointError(
-            f"{path}: holds another network than `model`: use its settings or another run_dir"
-        )
+        raise CheckpointError(f"{path}: holds another network than `model`: use its settings or another run_dir")
