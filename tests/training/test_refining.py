@@ -62,7 +62,8 @@ def test_the_command_trains_a_refinement_that_reduces_the_error(data, tmp_path, 
     settings = [
         "debug=cpu", "logger=none", f"data.root={data}", f"run_dir={tmp_path}/run",
         "radiosity.refinement.widths=[8,8,8]", "refining.steps=60", "refining.images_per_step=4",
-        "refining.validate_every_n_steps=30", "refining.schedule.warmup_steps=5", "refining.optimizer.lr=0.01", "refining.default_resolution=16",
+        "refining.validate_every_n_steps=30", "refining.schedule.warmup_steps=5",
+        "refining.optimizer.lr=0.01", "refining.default_resolution=16",
     ]  # fmt: skip
     with initialize_config_dir(str(CONFIG_DIR), version_base="1.3"):
         folder = main.__wrapped__(compose("refine", overrides=settings))

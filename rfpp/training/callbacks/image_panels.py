@@ -83,8 +83,10 @@ def pictures(network: torch.nn.Module, batch: RaggedBatch, radiance: Tensor) -> 
     if network.gbuffer_channels[:1] == ("albedo",):
         row["panels"]["albedo"] = tone_mapped(_image(batch.gbuffer[:, :, :3]))
     if network.iterations:
-        states, _ = network.bounces(batch, network.iterations)
-        row["bounces"] = {f"after {k} bounces": tone_mapped(_image(log_decode(s))) for k, s in enumerate(states)}
+        scenes, _ = network.transported_each(*network.tokenize(batch), network.iterations)
+        view = (batch.c2w[:, :1], batch.fov[:, :1], batch.gbuffer[:, :1])
+        images = (_image(log_decode(network.view(scene, *view))) for scene in scenes)
+        row["bounces"] = {f"after {k} bounces": tone_mapped(image) for k, image in enumerate(images)}
         row["bounces"]["reference"] = row["panels"]["reference"]
     return row
 
