@@ -53,7 +53,7 @@ def main(cfg: DictConfig) -> list[Evaluation]:
         raise UserError("checkpoint is not given: add checkpoint=<run folder>/checkpoints/best.ckpt")
     given = [cfg.checkpoint] if isinstance(cfg.checkpoint, str) else list(cfg.checkpoint)
     checkpoints = [checkpoint_file(name, cfg.registry.tracking_uri, Path(cfg.registry.folder)) for name in given]
-    cache = instantiate(cfg.datamodule.cache)
+    cache = instantiate(cfg.datamodule.source.cache)
     splits = [ShardSplit(cfg.data.root, name, cache) for name in cfg.evaluation.splits]
     outputs = _outputs(checkpoints, cfg.output, splits[0].manifest.name)
     device = torch.device(cfg.device or ("cuda" if torch.cuda.is_available() else "cpu"))

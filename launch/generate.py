@@ -1,18 +1,17 @@
-"""Make a data set: random scenes → Blender Cycles and G-buffers → WebDataset shards.
+"""Generate a data set: random scenes → Blender Cycles and G-buffers → WebDataset shards.
 
     python launch/generate.py experiment=quickstart
     python launch/generate.py experiment=large_scale preview=16
     python launch/generate.py experiment=quickstart action=show sample=train-000012
 
-Run the same command again after an interruption: nothing that was rendered is lost. Other actions: `merge` joins slices
-that were made apart, `status` says what is missing, `verify` hashes and decodes everything, `prepare` only reads the
-object library in, `reproduce` makes one sample alone, `show` draws one, `export` writes one for other programs. With
-h5.folder=… the data set is made of RenderFormer's H5 files.
+To resume, run the same command again: finished scenes are kept. Other actions: `merge` joins slices, `status` lists
+missing samples, `verify` hashes and decodes everything, `prepare` builds the object library, `reproduce` makes one
+sample, `show` draws one, `export` writes one for other programs. h5.folder=… imports RenderFormer's H5 files.
 """
 
 from __future__ import annotations
 
-import rfpp.interrupts  # noqa: F401 (first: what follows takes seconds to import)
+import rfpp.interrupts  # noqa: F401 (first: the other imports take seconds)
 
 # isort: split
 import time
@@ -46,7 +45,7 @@ from rfpp.shards.verification import verify
 
 @entry_point("generate")
 def main(cfg: DictConfig) -> Any:
-    """Do `cfg.action` with the data set `cfg.data`; returns what the action makes."""
+    """Apply `cfg.action` to the data set `cfg.data`; returns the result of the action."""
     console = Console(highlight=False, soft_wrap=True)
     if cfg.preview:
         return _preview(cfg, console)
@@ -62,7 +61,7 @@ def _recipe(cfg: DictConfig) -> Recipe:
     family = instantiate(cfg.family, _convert_="all")
     scene, reference = (OmegaConf.to_container(cfg[group], resolve=True) for group in ("family", "reference"))
     scene["objects"] = family.objects.account(scene["objects"])
-    groups = {"scene": scene, "reference": reference}  # names that are part of every data set's fingerprint
+    groups = {"scene": scene, "reference": reference}  # part of every data set's fingerprint
     return Recipe.of_scenes(family, instantiate(cfg.reference), data, groups)
 
 
@@ -100,13 +99,13 @@ def _make(cfg: DictConfig, console: Console) -> Manifest | None:
         with counting(console, "images", recipe.views) as (show, count), instantiate(cfg.farm) as farm:
             make(recipe, farm, show, part)
     except KeyboardInterrupt:
-        raise KeyboardInterrupt("run the same command again to go on, finished scenes are kept") from None
+        raise KeyboardInterrupt("run the same command again to resume; finished scenes are kept") from None
     if count.made:
-        console.print(f"Made {count.made} scenes in {time.perf_counter() - begin:.0f} s.")
+        console.print(f"Generated {count.made} scenes in {time.perf_counter() - begin:.0f} s.")
     else:
-        console.print(f"Nothing to do: all {count.total} scenes are there.")
+        console.print(f"Nothing to do: all {count.total} scenes exist.")
     if part.count > 1:
-        console.print(f"Slice {part.index} of {part.count} is finished; when all are, join them with action=merge.")
+        console.print(f"Slice {part.index} of {part.count} is finished; when all are, run action=merge.")
         return None
     return _merge(cfg, console)
 
@@ -115,9 +114,9 @@ def _merge(cfg: DictConfig, console: Console) -> Manifest:
     manifest = merge(_recipe(cfg))
     counts = manifest.counts
     console.print(
-        f"In all: {counts['scenes']} scenes, {counts['images']} images, {counts['triangles']} triangles, "
-        f"{counts['bytes'] / 1e6:.0f} MB; drawn anew: {counts['scene_redraws']} scenes, {counts['empty_views']} views "
-        f"that saw too little, {counts['unlit_views']} too little light.\n"
+        f"Total: {counts['scenes']} scenes, {counts['images']} images, {counts['triangles']} triangles, "
+        f"{counts['bytes'] / 1e6:.0f} MB; redrawn: {counts['scene_redraws']} scenes, {counts['empty_views']} views "
+        f"with too little surface, {counts['unlit_views']} with too little light.\n"
         f"Manifest {manifest.hash[:12]}: {manifest.root}/manifest.json"
     )
     return manifest
@@ -133,9 +132,9 @@ def _status(cfg: DictConfig, console: Console) -> Status:
         for key, error in of.failures.items():
             console.print(f"  {key}: {error}", markup=False)
     if left := found.slices(cfg.slice.count):
-        console.print(f"Left to make: slices {', '.join(map(str, left))} of {cfg.slice.count}.")
+        console.print(f"Unfinished: slices {', '.join(map(str, left))} of {cfg.slice.count}.")
     else:
-        console.print("Complete." if found.is_merged else "All shards are there: join them with action=merge.")
+        console.print("Complete." if found.is_merged else "All shards are finished: join them with action=merge.")
     return found
 
 
@@ -145,18 +144,18 @@ def _verify(cfg: DictConfig, console: Console) -> None:
     for problem in problems:
         console.print(problem, markup=False)
     if problems:
-        raise ShardError(f"{cfg.data.root}: {len(problems)} problems, listed above: mend them and verify again")
-    console.print(f"{cfg.data.root}: every byte and every sample is as its manifest says.")
+        raise ShardError(f"{cfg.data.root}: {len(problems)} problems, listed above: fix them and verify again")
+    console.print(f"{cfg.data.root}: all checksums match the manifest, and every sample decodes.")
 
 
 def _sample(cfg: DictConfig) -> str:
     if cfg.sample is None:
-        raise UserError(f"action={cfg.action} needs to know which: add sample=<key>, for example sample=train-000000")
+        raise UserError(f"action={cfg.action} needs a sample: add sample=<key>, for example sample=train-000000")
     return cfg.sample
 
 
 def _reproduce(cfg: DictConfig, console: Console) -> SceneSample:
-    """In this process, so that a failure shows its full traceback."""
+    """Make a sample in this process, so that a failure shows its full traceback."""
     recipe = _recipe(cfg)
     task = recipe.task(_sample(cfg))
     key, members = unpack(recipe.job(task).blocks)
@@ -179,7 +178,7 @@ def _export(cfg: DictConfig, console: Console) -> list[Path]:
 
 
 def _preview(cfg: DictConfig, console: Console) -> Path:
-    """A contact sheet of random scenes, before rendering any data."""
+    """Draw a contact sheet of random scenes, before rendering any data."""
     family = instantiate(cfg.family, _convert_="all")
     with counting(console, "scenes") as (show, _):
         scenes = []

@@ -30,7 +30,7 @@ def main(cfg: DictConfig) -> Path:
     network, info = load_network(required(cfg, "checkpoint"))
     device = torch.device(cfg.device or ("cuda" if torch.cuda.is_available() else "cpu"))
     output = Path(cfg.output) if cfg.output else Path(cfg.checkpoint).parents[1] / "transport"
-    split = ShardSplit(cfg.data.root, cfg.split, instantiate(cfg.datamodule.cache))
+    split = ShardSplit(cfg.data.root, cfg.split, instantiate(cfg.datamodule.source.cache))
     with progress_bars(console) as bar:
         network.to(device)
         trace = trace_transport(

@@ -46,7 +46,7 @@ def main(cfg: DictConfig) -> Path:
             *(n.transport for n, _ in loaded.values() if isinstance(n.transport, LinearTransport)),
         ):
             moving.iterations = cfg.bounces - 1  # from cells to pixels is the last
-    split = ShardSplit(cfg.data.root, cfg.split, instantiate(cfg.datamodule.cache))
+    split = ShardSplit(cfg.data.root, cfg.split, instantiate(cfg.datamodule.source.cache))
     device = torch.device("cpu")
     dtype = matrix_dtype("auto", device)
     autocast = partial(torch.autocast, "cpu", dtype, enabled=dtype != torch.float32)

@@ -1,4 +1,4 @@
-"""Reject views that see too little or too little light, before rendering them."""
+"""Reject views that see too little surface or too little light, before rendering them."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ from rfpp.scene.camera import camera_to_world
 from rfpp.scene.spec import Camera
 from rfpp.shards.scene_rays import SceneRays
 
-#: Why a view is refused, as the index and the manifest count it.
+#: Reasons for rejecting a view, as counted in the index and the manifest.
 EMPTY, UNLIT = "empty_views", "unlit_views"
 
 
 @dataclass(frozen=True)
 class Acceptance:
-    """Criteria for views, checked on a small G-buffer with direct light and shadows.
+    """Criteria for views, checked on a small G-buffer with shadowed direct light.
 
     Attributes:
         resolution: pixels of that G-buffer.
         light_samples: shadow rays per light and pixel.
-        min_coverage: share of the pixels that must see a surface.
-        min_lit: share of these that some light must reach directly.
-        min_radiance: mean outgoing radiance of direct light over all pixels.
-        camera_attempts: draws of a camera, before its scene is drawn anew.
-        scene_attempts: draws of a scene, before it counts as failed.
+        min_coverage: minimum share of pixels that see a surface.
+        min_lit: minimum share of these that receive direct light.
+        min_radiance: minimum mean outgoing radiance of direct light over all pixels.
+        camera_attempts: draws of a camera before the scene is redrawn.
+        scene_attempts: draws of a scene before it fails.
     """
 
     resolution: int
@@ -40,20 +40,21 @@ class Acceptance:
 
     def __post_init__(self) -> None:
         for field in fields(self):
-            value = getattr(self, field.name)
+            value, least = getattr(self, field.name), int(field.type == "int")
             if field.name in ("min_coverage", "min_lit") and not 0 <= value <= 1:
                 raise UserError(f"data.acceptance.{field.name} is {value}: use 0 to 1")
-            if value < (field.type == "int"):
-                raise UserError(f"data.acceptance.{field.name} is {value}: use {int(field.type == 'int')} or more")
+            if value < least:
+                raise UserError(f"data.acceptance.{field.name} is {value}: use {least} or more")
 
     def cameras(
-        self, rays: SceneRays, draw: Callable[[int], tuple[Camera, ...]], refused: Counter[str]
+        self, rays: SceneRays, draw: Callable[[int], tuple[Camera, ...]], rejected: Counter[str]
     ) -> tuple[Camera, ...] | None:
-        """The first accepted draw of each camera, or None if a camera has none.
+        """Return the first accepted draw of each camera, or None if a camera has none.
 
         Args:
-            draw: attempt → its cameras.
-            refused: counts the refused views by reason.
+            rays: Ray casting in the scene.
+            draw: Attempt → its cameras.
+            rejected: Counts the rejected views by reason.
         """
         accepted: dict[int, Camera] = {}
         for attempt in range(self.camera_attempts):
@@ -62,7 +63,7 @@ class Acceptance:
                 if view in accepted:
                     continue
                 if reason := self.objection(rays, camera):
-                    refused[reason] += 1
+                    rejected[reason] += 1
                 else:
                     accepted[view] = camera
             if len(accepted) == len(cameras):
@@ -70,12 +71,12 @@ class Acceptance:
         return None
 
     def objection(self, rays: SceneRays, camera: Camera) -> str | None:
-        """EMPTY or UNLIT, or None for a good view."""
+        """Return EMPTY or UNLIT, or None for an acceptable view."""
         c2w = camera_to_world(camera)
-        seen = rays.first_hit(c2w, camera.fov, self.resolution)
-        if not seen.hit.any() or seen.hit.mean() < self.min_coverage:
+        gbuffer = rays.first_hit(c2w, camera.fov, self.resolution)
+        if not gbuffer.hit.any() or gbuffer.hit.mean() < self.min_coverage:
             return EMPTY
-        lit = rays.with_direct_light(seen, c2w, camera.fov, self.light_samples, seed=0)
-        reached = lit.light.diffuse.any(axis=-1)[lit.hit].mean() >= self.min_lit
-        bright = direct_radiance(lit, rays.triangles.material).mean() >= self.min_radiance
-        return None if reached and bright else UNLIT
+        lit = rays.with_direct_light(gbuffer, c2w, camera.fov, self.light_samples, seed=0)
+        is_lit = lit.light.diffuse.any(axis=-1)[lit.hit].mean() >= self.min_lit
+        is_bright = direct_radiance(lit, rays.triangles.material).mean() >= self.min_radiance
+        return None if is_lit and is_bright else UNLIT

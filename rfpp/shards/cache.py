@@ -17,36 +17,38 @@ from rfpp.errors import UserError
 class ShardCache:
     """Least-recently-used cache. Files are named by their content hash, so entries never become stale.
 
-    Whoever has a file open keeps reading it when it is removed here: its space is freed when the last one closes it.
+    Removing an open file does not disturb its readers; its space is freed when the last one closes it.
 
-    Args:
-        folder: made when it is needed; on a disk of the machine, or one that several share.
-        gigabytes: at most, besides what is being fetched at the moment.
+    Attributes:
+        folder: created on demand; may be shared by several machines.
+        gigabytes: size limit, not counting downloads in progress.
     """
 
     folder: str | Path
     gigabytes: int | float
 
     def open(self, name: str, size: int, fetch: Callable[[Path], None]) -> int:
-        """A file descriptor of the file `name`; if it is not cached, `fetch` writes it to a given path.
+        """Return a file descriptor of the file `name`; if it is not cached, `fetch` writes it to a given path.
 
-        Of several processes that want a file one fetches it.
+        If several processes request a file, one of them fetches it.
 
         Raises:
-            UserError: the folder cannot be written, or the file is larger than the cache; and what `fetch` raises.
+            UserError: If the folder cannot be written or the file is larger than the cache; also whatever `fetch`
+                raises.
         """
         if size > self.gigabytes * 1e9:
             raise UserError(
-                f"{self.folder}: a file of {size} bytes does not fit: raise datamodule.cache.gigabytes={self.gigabytes}"
+                f"{self.folder}: a file of {size} bytes does not fit: raise "
+                f"datamodule.source.cache.gigabytes={self.gigabytes}"
             )
         path = Path(self.folder) / name
         try:
-            if (descriptor := _open_whole(path, size)) is not None:
+            if (descriptor := _open_complete(path, size)) is not None:
                 return descriptor
             path.parent.mkdir(parents=True, exist_ok=True)
-            # a few locks for all files, as removing a lock's file is not safe while others wait for it
+            # a few locks for all files: removing a lock file is unsafe while other processes wait for it
             with FileLock(path.with_name(f".{name[:2]}.lock")):
-                if (descriptor := _open_whole(path, size)) is not None:
+                if (descriptor := _open_complete(path, size)) is not None:
                     return descriptor
                 partial = path.with_name(f".{name}.part")
                 fetch(partial)
@@ -55,8 +57,8 @@ class ShardCache:
             self._remove_oldest()
         except OSError as error:
             raise UserError(
-                f"{self.folder}: cannot be written ({error.strerror}): free space, lower datamodule.cache.gigabytes or "
-                "choose another datamodule.cache.folder"
+                f"{self.folder}: cannot be written ({error.strerror}): free space, lower "
+                "datamodule.source.cache.gigabytes or choose another datamodule.source.cache.folder"
             ) from error
         return descriptor
 
@@ -74,16 +76,16 @@ class ShardCache:
                 total -= stat.st_size
 
 
-def _open_whole(path: Path, size: int) -> int | None:
-    """A descriptor of the file if it is cached completely; marks it as used."""
+def _open_complete(path: Path, size: int) -> int | None:
+    """Open a cached file and mark it as used; return None if it is missing or incomplete."""
     try:
         descriptor = os.open(path, os.O_RDONLY)
     except FileNotFoundError:
         return None
-    if os.fstat(descriptor).st_size != size:  # a crash of the machine left it so
+    if os.fstat(descriptor).st_size != size:  # left by a crash of the machine
         os.close(descriptor)
         path.unlink(missing_ok=True)
         return None
-    with suppress(FileNotFoundError):  # removed since, which harms nobody
+    with suppress(FileNotFoundError):  # another process removed it; the open descriptor stays valid
         os.utime(path)
     return descriptor

@@ -11,21 +11,20 @@ from pathlib import Path
 
 from rfpp.errors import ShardError
 from rfpp.files import write_atomically
-from rfpp.shards.index import SampleEntry, ShardIndex, to_json
+from rfpp.shards.index import to_json
 from rfpp.shards.job import MadeScene, SceneTask
 from rfpp.shards.recipe import PlannedShard, Recipe
 from rfpp.shards.writer import ShardWriter, write_json
 
-#: Of a data set's folder.
+#: Folder of unfinished shards in a data set's folder.
 FOLDER = "unfinished"
 
 
 @dataclass(frozen=True)
 class SampleFolder:
-    """Folder of the finished samples of an incomplete shard; picklable.
+    """Finished samples of an incomplete shard; picklable.
 
-    Each is written by the worker that made it, whole or not at all: whatever is killed, and whenever, only scenes
-    in the making are lost.
+    The worker that makes a sample writes it atomically, so that a killed run loses only the scenes in progress.
     """
 
     path: Path
@@ -39,10 +38,10 @@ class SampleFolder:
         self._failure_file(key).unlink(missing_ok=True)
 
     def read(self, key: str) -> MadeScene | None:
-        """A stored sample; None if it is missing or was truncated by a machine crash.
+        """Return a stored sample, or None if it is missing or was truncated by a crash of the machine.
 
         Raises:
-            ShardError: it was made with other settings.
+            ShardError: If it has other settings.
         """
         try:
             head, _, blocks = self._file(key).read_bytes().partition(b"\n")
@@ -56,21 +55,20 @@ class SampleFolder:
         return MadeScene(blocks, **head["counts"])
 
     def remove(self, key: str) -> None:
-        """Delete a sample, and the folder with the last one."""
+        """Delete a sample, and the folder if it is empty."""
         self._file(key).unlink(missing_ok=True)
         for folder in (self.path, self.path.parent):
             with suppress(OSError):  # not empty
                 folder.rmdir()
 
-    def write_failure(self, key: str, error: Exception) -> Path:
-        """Record the failure of a scene; returns the file."""
+    def write_failure(self, key: str, error: Exception) -> None:
+        """Record the failure of a scene."""
         traceback = "\n".join(getattr(error, "__notes__", []))
-        path = self._failure_file(key)
-        write_json(path, {"key": key, "error": f"{type(error).__name__}: {error}", "traceback": traceback})
-        return path
+        record = {"key": key, "error": f"{type(error).__name__}: {error}", "traceback": traceback}
+        write_json(self._failure_file(key), record)
 
     def read_failure(self, key: str) -> str | None:
-        """The error of the scene's last attempt, if it failed."""
+        """Return the error of the scene's last attempt, if it failed."""
         try:
             return json.loads(self._failure_file(key).read_bytes())["error"]
         except FileNotFoundError:
@@ -85,68 +83,43 @@ class SampleFolder:
 
 @dataclass(frozen=True)
 class UnfinishedShard:
-    """A shard whose samples are missing or not yet assembled."""
+    """A shard with missing or unassembled samples."""
 
-    root: Path
+    recipe: Recipe
     shard: PlannedShard
-    fingerprint: str
-
-    @classmethod
-    def of(cls, recipe: Recipe, shard: PlannedShard) -> UnfinishedShard:
-        return cls(recipe.root, shard, recipe.fingerprint)
 
     @property
     def folder(self) -> SampleFolder:
-        return SampleFolder(self.root / FOLDER / Path(self.shard.file).stem, self.fingerprint)
+        return SampleFolder(self.recipe.root / FOLDER / Path(self.shard.file).stem, self.recipe.fingerprint)
 
     def missing(self) -> list[SceneTask]:
-        """The samples that are neither waiting nor in the shard in place, which may hold fewer than planned.
-
-        Raises:
-            ShardError: something was made with other settings.
-        """
-        entries = self._entries()
-        return [t for t in self.shard.tasks if t.key not in entries and self.folder.read(t.key) is None]
+        """Return the samples that are not in the folder. Raises ShardError if a sample has other settings."""
+        return [task for task in self.shard.tasks if self.folder.read(task.key) is None]
 
     def failures(self) -> dict[str, str]:
-        """Key → error of the scenes whose last attempt failed."""
+        """Return key → error of the scenes whose last attempt failed."""
         errors = {task.key: self.folder.read_failure(task.key) for task in self.shard.tasks}
         return {key: error for key, error in errors.items() if error is not None}
 
-    def assemble(self) -> ShardIndex:
+    def assemble(self) -> None:
         """Write the shard from its samples, move it into place, and clear the folder.
 
         Raises:
-            UserError: the disk is full; nothing is lost.
+            UserError: If the disk is full; nothing is lost.
         """
-        entries = self._entries()
-        writer = ShardWriter(self.root, self.shard.file, self.fingerprint)
+        writer = ShardWriter(self.recipe.root, self.shard.file, self.recipe.fingerprint)
         try:
             for task in self.shard.tasks:
-                made = self.folder.read(task.key) or self._copy(entries[task.key])
-                writer.add(task.key, **vars(made))
-            index = writer.commit()
+                writer.add(task.key, **vars(self.folder.read(task.key)))
+            writer.commit()
         finally:
             writer.discard()
         for task in self.shard.tasks:
             self.folder.remove(task.key)
-        return index
-
-    def _entries(self) -> dict[str, SampleEntry]:
-        present = self.shard.present(self.root, self.fingerprint)
-        return {entry.key: entry for entry in present.samples} if present else {}
-
-    def _copy(self, entry: SampleEntry) -> MadeScene:
-        """Copy a sample from the smaller shard that is being replaced."""
-        present = self.shard.present(self.root, self.fingerprint)
-        with (self.root / self.shard.file).open("rb") as file:
-            blocks = present.blocks(self.root, file.fileno(), entry)
-        counts = entry._asdict()
-        return MadeScene(blocks, **{name: counts[name] for name in MadeScene.__annotations__ if name != "blocks"})
 
 
 @dataclass(frozen=True)
-class KeptJob:
+class CheckpointedJob:
     """Makes a sample and stores it in its shard's sample folder; picklable."""
 
     job: Callable[[SceneTask], MadeScene]

@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from rfpp.errors import ShardError
-from rfpp.raycast.first_hit import GBuffer
 from rfpp.imaging.exr import HALF_MAX
+from rfpp.raycast.first_hit import GBuffer
 from rfpp.scene.triangles import SceneTriangles
 
 

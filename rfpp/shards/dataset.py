@@ -5,56 +5,56 @@ from __future__ import annotations
 import bisect
 import os
 from collections import OrderedDict
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from itertools import accumulate
-from pathlib import Path
 
 from torch.utils.data import Dataset
 
 from rfpp.errors import ShardError
 from rfpp.raycast.first_hit import CHANNELS
 from rfpp.shards.cache import ShardCache
-from rfpp.shards.index import ListedShard, ShardIndex
+from rfpp.shards.index import SampleEntry
 from rfpp.shards.manifest import Manifest
 from rfpp.shards.sample import SceneSample, ViewChoice, decode
+from rfpp.shards.store import Root
 
-#: Open shards per process; the one longest unused is closed first. A window of the shuffled order has fewer.
+#: Limit of open shards per process; the least recently used is closed first.
 _MAX_OPEN = 32
 
 
 class ShardSplit(Dataset):
-    """The scenes of one split, by index.
+    """The scenes of one split of one or several data sets, by index.
 
-    Reads only the bytes of the sample asked for. Picklable: every process opens the tars it touches itself.
+    Reads only the bytes of the requested sample. Picklable: every process opens its own tars.
 
     Args:
-        root: folder or URL of the data set.
-        split: e.g. "train", "train_newviews", "test".
-        cache: for a URL.
-        require_all: whether a missing shard, or one of the wrong size, is an error at construction already; of remote
-            shards nothing is known before they are fetched.
+        root: Folder or URL of the data set, or several to be concatenated.
+        split: For example "train", "train_newviews", "test".
+        cache: Cache for URLs.
+        require_all: Check on construction that all local shards exist with their listed size.
 
     Raises:
-        ShardError: no data set, no such split, a missing or truncated shard (at construction or when it is read), an
-            index that is not the manifest's, or a sample whose bytes do not have the recorded sha256 (when it is
-            read). Each names the file, the key and what to do.
-        UserError: a server that cannot be reached.
+        ShardError: If there is no data set or no such split; if a shard is missing or truncated; if an index differs
+            from the manifest's; or if a sample does not have the recorded sha256. Names the file and the fix.
+        UserError: If a server cannot be reached.
     """
 
-    def __init__(self, root: str | Path, split: str, cache: ShardCache | None = None, require_all: bool = True) -> None:
+    def __init__(
+        self, root: Root | Sequence[Root], split: str, cache: ShardCache | None = None, require_all: bool = True
+    ) -> None:
         self.manifest = Manifest.load(root, cache)
         self.split = split
         self._shards = self.manifest.shards(split)
         self._ends = list(accumulate(self.sizes))
-        self._open: OrderedDict[str, tuple[ShardIndex, int]] = OrderedDict()
-        self._triangles: dict[str, list[int]] = {}
-        if require_all and isinstance(self.manifest.root, Path):
+        self._open: OrderedDict[int, tuple[tuple[SampleEntry, ...], int]] = OrderedDict()
+        self._triangles: dict[int, list[int]] = {}
+        if require_all:
             for shard in self._shards:
-                shard.require_intact_file(self.manifest.root)
+                shard.store.require(shard.listed)
 
     @property
     def sizes(self) -> list[int]:
-        """Scenes in each shard."""
+        """Number of scenes in each shard."""
         return [shard.samples for shard in self._shards]
 
     def __len__(self) -> int:
@@ -64,31 +64,28 @@ class ShardSplit(Dataset):
         return self.read(index)
 
     def read(
-        self,
-        index: int,
-        choose: ViewChoice | None = None,
-        channels: Collection[str] = tuple(CHANNELS),
+        self, index: int, choose: ViewChoice | None = None, channels: Collection[str] = tuple(CHANNELS)
     ) -> SceneSample:
-        """The scene, or the requested parts of it (see `rfpp.shards.sample.decode`)."""
-        shard, position = self._locate(index)
-        opened, descriptor = self._opened(shard)
-        entry = opened.samples[position]
-        return decode(entry.key, shard.members(self.manifest.root, descriptor, entry), choose, channels)
+        """Return a scene, or only the requested views and channels (see `rfpp.shards.sample.decode`)."""
+        number, position = self._locate(index)
+        entries, descriptor = self._opened(number)
+        entry = entries[position]
+        return decode(entry.key, self._shards[number].members(descriptor, entry), choose, channels)
 
     def key(self, index: int) -> str:
-        """The key of a sample, without reading it."""
-        shard, position = self._locate(index)
-        return self._opened(shard)[0].samples[position].key
+        """Return the key of a sample, without reading it."""
+        number, position = self._locate(index)
+        return self._opened(number)[0][position].key
 
     def triangles(self, index: int) -> int:
-        """Number of triangles of a scene, from the shard's index, which is read once."""
-        shard, position = self._locate(index)
-        if shard.file not in self._triangles:
-            self._triangles[shard.file] = [entry.triangles for entry in self.manifest.index(shard).samples]
-        return self._triangles[shard.file][position]
+        """Return the number of triangles of a scene, without opening its shard."""
+        number, position = self._locate(index)
+        if number not in self._triangles:
+            self._triangles[number] = [entry.triangles for entry in self._shards[number].index().samples]
+        return self._triangles[number][position]
 
     def close(self) -> None:
-        """Close all files; they are opened again when needed."""
+        """Close all files; they are reopened when needed."""
         while self._open:
             os.close(self._open.popitem()[1][1])
 
@@ -99,31 +96,31 @@ class ShardSplit(Dataset):
         if hasattr(self, "_open"):
             self.close()
 
-    def _locate(self, index: int) -> tuple[ListedShard, int]:
-        """The shard of a sample, and its number in it."""
+    def _locate(self, index: int) -> tuple[int, int]:
+        """Return a sample's shard and its position in it."""
         if not 0 <= index < len(self):
             raise IndexError(f"sample {index} of {len(self)} in split '{self.split}'")
         number = bisect.bisect_right(self._ends, index)
-        first = self._ends[number - 1] if number else 0
-        return self._shards[number], index - first
+        return number, index - (self._ends[number - 1] if number else 0)
 
-    def _opened(self, shard: ListedShard) -> tuple[ShardIndex, int]:
-        """The index of a shard and a file descriptor of its tar."""
-        if shard.file in self._open:
-            self._open.move_to_end(shard.file)
-            return self._open[shard.file]
+    def _opened(self, number: int) -> tuple[tuple[SampleEntry, ...], int]:
+        """Return the index entries of a shard and a file descriptor of its tar."""
+        if number in self._open:
+            self._open.move_to_end(number)
+            return self._open[number]
         if len(self._open) >= _MAX_OPEN:
             os.close(self._open.popitem(last=False)[1][1])
-        self._open[shard.file] = self.manifest.index(shard), self.manifest.store.open_tar(shard)
-        return self._open[shard.file]
+        shard = self._shards[number]
+        self._open[number] = shard.index().samples, shard.open()
+        return self._open[number]
 
 
-def find_sample(root: str | Path, key: str) -> SceneSample:
-    """The sample with this key, e.g. "train-000012". Raises ShardError listing the available ones."""
+def find_sample(root: Root, key: str) -> SceneSample:
+    """Return the sample with this key, e.g. "train-000012". Raises ShardError listing the available keys."""
     split, _, number = key.rpartition("-")
     manifest = Manifest.load(root)
-    counts = {name: sum(shard.samples for shard in manifest.shards(name)) for name in manifest.splits}
+    counts = {name: sum(shard.samples for shard in shards) for name, shards in manifest.splits.items()}
     if number.isdecimal() and int(number) < counts.get(split, 0):
         return ShardSplit(root, split)[int(number)]
-    there = ", ".join(f"{name}-000000 … {name}-{count - 1:06d}" for name, count in counts.items() if count)
-    raise ShardError(f"{root}: no sample '{key}' in this data set: choose from {there}")
+    available = ", ".join(f"{name}-000000 … {name}-{count - 1:06d}" for name, count in counts.items() if count)
+    raise ShardError(f"{root}: no sample '{key}' in this data set: choose from {available}")

@@ -13,10 +13,10 @@ import numpy as np
 from jaxtyping import Float
 
 from rfpp.errors import SceneError, UserError
-from rfpp.raycast.direct_light import direct_radiance
-from rfpp.raycast.first_hit import channel, object_ids
 from rfpp.imaging.exr import write_exr
 from rfpp.imaging.panels import save_picture, tone_mapped
+from rfpp.raycast.direct_light import direct_radiance
+from rfpp.raycast.first_hit import channel, object_ids
 from rfpp.scene.io.renderformer_h5 import save_h5
 from rfpp.scene.io.renderformer_json import save_json
 from rfpp.scene.mesh import Mesh
@@ -30,7 +30,7 @@ _IN_PLACE = Transform(normalize=False)
 
 
 def export(sample: SceneSample, format: str, folder: Path) -> list[Path]:
-    """Write a sample in one of `FORMATS`. Raises UserError: no such format, or a file that cannot be written."""
+    """Write a sample in one of `FORMATS`. Raises UserError for an unknown format or a file that cannot be written."""
     if format not in FORMATS:
         raise UserError(f"format '{format}' does not exist: choose from {', '.join(FORMATS)}")
     return FORMATS[format](sample, Path(folder))
@@ -39,10 +39,9 @@ def export(sample: SceneSample, format: str, folder: Path) -> list[Path]:
 def export_renderformer(sample: SceneSample, folder: Path) -> list[Path]:
     """Write RenderFormer JSON v1.0 with one mesh per object, and the images of `export_exr`, also as PNG.
 
-    `load_scene` gives back positions and materials exactly and cameras to float32. Of normals the format says only
-    whether an object is smooth: whichever of flat and smooth is nearer to the sample's is written, which for generated
-    scenes is what they were made with; any others are lost. An object of several materials becomes an object for each,
-    with edges between them. Triangles without area are left out.
+    `load_scene` restores positions and materials exactly and cameras to float32. The format stores only whether an
+    object is flat or smooth, so the closer of the two replaces the sample's normals; generated scenes lose nothing.
+    An object of several materials becomes one object per material. Triangles without area are omitted.
     """
     scene = save_json(as_scene(sample), folder / f"{sample.key}.json")
     pictures = [
@@ -53,37 +52,23 @@ def export_renderformer(sample: SceneSample, folder: Path) -> list[Path]:
 
 
 def export_h5(sample: SceneSample, folder: Path) -> list[Path]:
-    """Write RenderFormer's H5 training format (`rfpp.scene.io.renderformer_h5`); materials and images in half.
-
-    Its G-buffers follow as `gbuffer/<name>` [V, H, W] or [V, H, W, 3] in the names, types and units of the sample's
-    EXR files, but `gbuffer/triangle` counts from 0 and is -1 where nothing is hit.
-    """
+    """Write RenderFormer's H5 training format (`rfpp.scene.io.renderformer_h5`) with materials and images in half."""
     packed = PackedScene(sample.key, sample.triangles, sample.c2w, sample.fov)
-    gbuffers = {
-        "triangle": np.stack([g.triangle for g in sample.gbuffers]),
-        "depth": np.stack([g.depth for g in sample.gbuffers]),
-        "normal": np.stack([g.normal for g in sample.gbuffers]).astype(np.float16),
-        "direct_diffuse": np.stack([g.light.diffuse for g in sample.gbuffers]).astype(np.float16),
-        "direct_glossy": np.stack([g.light.glossy for g in sample.gbuffers]).astype(np.float16),
-        "reflected_light": np.stack([g.reflection.light for g in sample.gbuffers]).astype(np.float16),
-    }
-    others = {f"gbuffer/{name}": array for name, array in gbuffers.items()}
-    return [save_h5(packed, folder / f"{sample.key}.h5", sample.images, others)]
+    return [save_h5(packed, folder / f"{sample.key}.h5", sample.images)]
 
 
 def export_exr(sample: SceneSample, folder: Path) -> list[Path]:
     """Write a multi-layer EXR per view; HDR viewers show its reference image.
 
-    Half precision, but float32 `depth` and `direct`. `triangle` and `object` count from 1, and 0 is nothing. `direct`
-    is the radiance of the first bounce, the rest of the image came by more; other layers as in
-    `rfpp.raycast.first_hit.CHANNELS`.
+    Half precision, except float32 `depth` and `direct`. `triangle` and `object` count from 1; 0 means nothing is hit.
+    `direct` is the radiance of the first bounce; other layers are as in `rfpp.raycast.first_hit.CHANNELS`.
     """
     return [
         write_exr(folder / f"{sample.key}.view{view}.exr", _layers(sample, view)) for view in range(len(sample.images))
     ]
 
 
-#: Name on the command line → what writes it.
+#: Name on the command line → writer.
 FORMATS: Mapping[str, Callable[[SceneSample, Path], list[Path]]] = {
     "renderformer": export_renderformer,
     "h5": export_h5,
@@ -92,22 +77,22 @@ FORMATS: Mapping[str, Callable[[SceneSample, Path], list[Path]]] = {
 
 
 def as_scene(sample: SceneSample) -> Scene:
-    """Objects with meshes in world space and look-at cameras, as `export_renderformer` describes.
+    """Return a scene with meshes in world space and look-at cameras, as described in `export_renderformer`.
 
     Raises:
-        SceneError: naming the object whose material or mesh a scene file cannot hold.
+        SceneError: If a scene file cannot hold an object's material or mesh.
     """
     cameras = tuple(look_at(pose, fov) for pose, fov in zip(sample.c2w, sample.fov, strict=True))
     return Scene(name=sample.key, objects=tuple(_objects(sample.triangles)), cameras=cameras)
 
 
 def look_at(c2w: Float[np.ndarray, "4 4"], fov: SupportsFloat) -> Camera:
-    """The camera whose `camera_to_world` is this pose."""
-    right_up_backward, position = c2w[:3, :3].astype(np.float64), c2w[:3, 3].astype(np.float64)
+    """Return the camera whose `camera_to_world` is this pose."""
+    _, up, backward, position = c2w[:3].astype(np.float64).T
     return Camera(
         position=tuple(position.tolist()),
-        look_at=tuple((position - right_up_backward[:, 2]).tolist()),
-        up=tuple(right_up_backward[:, 1].tolist()),
+        look_at=tuple((position - backward).tolist()),
+        up=tuple(up.tolist()),
         fov=float(fov),
     )
 
@@ -131,7 +116,7 @@ def _object(
 ) -> SceneObject:
     vertices, faces = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
     mesh = Mesh(vertices, faces.reshape(-1, 3))
-    misses = [np.abs(corner_normals(mesh, smooth) - normals).mean() for smooth in (False, True)]
+    flat_error, smooth_error = (np.abs(corner_normals(mesh, smooth) - normals).mean() for smooth in (False, True))
     diffuse, specular, emissive = (tuple(material[columns].tolist()) for columns in (DIFFUSE, SPECULAR, EMISSION))
     return SceneObject(
         name=name,
@@ -142,7 +127,7 @@ def _object(
             specular=specular,
             roughness=material[ROUGHNESS].item(),
             emissive=emissive,
-            smooth_shading=bool(misses[1] < misses[0]),
+            smooth_shading=bool(smooth_error < flat_error),
         ),
     )
 
@@ -153,18 +138,20 @@ def _areas(corners: Float[np.ndarray, "f 3 3"]) -> Float[np.ndarray, " f"]:
 
 
 def _layers(sample: SceneSample, view: int) -> dict[str, np.ndarray]:
-    gbuffer, material = sample.gbuffers[view], sample.triangles.material
-    colours = {
+    gbuffer, material, fov = sample.gbuffers[view], sample.triangles.material, sample.fov[view]
+    albedo, specular, roughness = (channel(gbuffer, material, fov, n) for n in ("albedo", "specular", "roughness"))
+    radiance_and_surface = {
         "RGB": sample.images[view],
         "direct_diffuse": gbuffer.light.diffuse,
         "direct_glossy": gbuffer.light.glossy,
         "reflected_light": gbuffer.reflection.light,
         "normal": gbuffer.normal,
-        **{name: channel(gbuffer, material, sample.fov[view], name) for name in ("albedo", "specular")},
-        "roughness": channel(gbuffer, material, sample.fov[view], "roughness")[..., 0],
+        "albedo": albedo,
+        "specular": specular,
+        "roughness": roughness[..., 0],
     }
     return {
-        **{name: layer.astype(np.float16) for name, layer in colours.items()},
+        **{name: layer.astype(np.float16) for name, layer in radiance_and_surface.items()},
         "direct": direct_radiance(gbuffer, material).astype(np.float32),
         "depth": gbuffer.depth,
         "triangle": (gbuffer.triangle + 1).astype(np.uint32),

@@ -1,7 +1,7 @@
 """Generate a data set, resumable at any time.
 
-Every sample is a pure function of its task and the settings (`rfpp.shards.recipe`): whoever makes it, on however many
-workers or machines, in whatever order, gets the same bytes.
+Every sample is a pure function of its task and the settings (`rfpp.shards.recipe`), whatever the order, the number of
+workers and the machine.
 """
 
 from __future__ import annotations
@@ -13,9 +13,8 @@ from filelock import FileLock, Timeout
 
 from rfpp.errors import MissingDependencyError, ShardError, UserError
 from rfpp.reference.farm import RenderFarm
-from rfpp.shards.checkpointed_shard import KeptJob, SampleFolder, UnfinishedShard
-from rfpp.shards.index import load_index, to_json
-from rfpp.shards.job import SceneTask
+from rfpp.shards.checkpointed_shard import FOLDER, CheckpointedJob, UnfinishedShard
+from rfpp.shards.index import to_json
 from rfpp.shards.manifest import MANIFEST_FILE, Manifest, manifest_json
 from rfpp.shards.recipe import WHOLE, Recipe, Slice
 from rfpp.shards.writer import write_json
@@ -24,55 +23,57 @@ from rfpp.shards.writer import write_json
 def make(recipe: Recipe, farm: RenderFarm, progress: Callable[[int, int], None], part: Slice = WHOLE) -> None:
     """Generate the missing samples of one slice of a data set.
 
-    Finished shards and samples are left alone. A failing scene is tried twice, then kept with its traceback among
-    the unfinished, and the rest goes on.
+    Finished shards and samples are left alone. A failing scene is tried twice and recorded with its traceback; the
+    other scenes are still generated.
 
     Args:
-        progress: called with (scenes finished, scenes in all) of the slice, first with what is there already.
+        recipe: Plan of the data set.
+        farm: Worker processes.
+        progress: Called with (finished scenes, all scenes) of the slice; first with the existing ones.
+        part: Slice to generate.
 
     Raises:
-        ShardError: the folder holds data made with other settings, or scenes failed.
-        MissingDependencyError: Blender or Embree is not installed.
-        UserError: the disk is full, or another process is making this slice.
+        ShardError: If the folder holds data of other settings, or scenes failed.
+        MissingDependencyError: If Blender or Embree is not installed.
+        UserError: If the disk is full, or another process is generating this slice.
     """
     recipe.require_same_settings()
-    with _alone(recipe, part):
+    with _locked(recipe, part):
         _make(recipe, farm, progress, part)
 
 
 def _make(recipe: Recipe, farm: RenderFarm, progress: Callable[[int, int], None], part: Slice) -> None:
     shards = recipe.slice(part)
-    unfinished = [
-        UnfinishedShard.of(recipe, shard) for shard in shards if not shard.is_finished(recipe.root, recipe.fingerprint)
-    ]
-    missing = {shard.shard.file: {task.key for task in shard.missing()} for shard in unfinished}
     total = sum(len(shard.tasks) for shard in shards)
-    done = total - sum(map(len, missing.values()))
+    unfinished = [UnfinishedShard(recipe, s) for s in shards if not s.finished(recipe.root, recipe.fingerprint)]
+    tasks = {shard.folder: shard.missing() for shard in unfinished}
+    shard_of = {shard.folder: shard for shard in unfinished}
+    waiting = {folder: {task.key for task in missing} for folder, missing in tasks.items()}
+    done = total - sum(map(len, waiting.values()))
     progress(done, total)
-    for shard in unfinished:
-        if not missing[shard.shard.file]:  # stopped between its last sample and its end
-            shard.assemble()
-    by_folder = {shard.folder.path: shard for shard in unfinished}
-    failures: list[tuple[SceneTask, Exception, SampleFolder]] = []
-    for (task, folder), error in farm.map(KeptJob(recipe.job), _work(unfinished, missing)):
+    for folder, keys in waiting.items():
+        if not keys:  # the run stopped between the shard's last sample and its assembly
+            shard_of[folder].assemble()
+    failures: list[tuple[str, Exception]] = []
+    work = ((task, folder) for folder, missing in tasks.items() for task in missing)
+    for (task, folder), error in farm.map(CheckpointedJob(recipe.job), work):
         if isinstance(error, MissingDependencyError) or type(error) is UserError:
-            raise error  # the scene is not to blame, and the next will do no better
+            raise error  # not the scene's fault; every other scene would fail as well
         if error is not None:
-            failures.append((task, error, folder))
+            failures.append((task.key, error))
             folder.write_failure(task.key, error)
             continue
-        shard = by_folder[folder.path]
-        missing[shard.shard.file].remove(task.key)
+        waiting[folder].remove(task.key)
         done += 1
         progress(done, total)
-        if not missing[shard.shard.file]:
-            shard.assemble()
+        if not waiting[folder]:
+            shard_of[folder].assemble()
     if failures:
-        task, error, folder = failures[0]
+        key, error = failures[0]
         raise ShardError(
-            f"{len(failures)} of {total} scenes failed, first {task.key} ({type(error).__name__}: {error}); the others "
-            f"are finished; tracebacks are in {folder.path.parent}; repeat one alone with action=reproduce "
-            f"sample={task.key}, mend the cause and run the same command again"
+            f"{len(failures)} of {total} scenes failed, first {key} ({type(error).__name__}: {error}); the others are "
+            f"finished; tracebacks are in {recipe.root / FOLDER}; repeat one alone with action=reproduce sample={key}, "
+            "fix the cause and run the same command again"
         )
 
 
@@ -80,19 +81,17 @@ def merge(recipe: Recipe) -> Manifest:
     """Merge the finished shards of all slices into a data set by writing its manifest.
 
     Raises:
-        ShardError: shards are missing, or were made with other settings.
-        UserError: the disk is full.
+        ShardError: If shards are missing or have other settings.
+        UserError: If the disk is full.
     """
     recipe.require_same_settings()
-    unfinished = [s.file for s in recipe.all_shards if not s.is_finished(recipe.root, recipe.fingerprint)]
-    if unfinished:
+    found = {shard.file: shard.finished(recipe.root, recipe.fingerprint) for shard in recipe.all_shards}
+    if unfinished := [file for file, index in found.items() if index is None]:
         raise ShardError(
-            f"{recipe.root}: {len(unfinished)} of {len(recipe.all_shards)} shards are not finished, first "
-            f"{unfinished[0]}: make them (action=status says which), or copy them here from where they were made"
+            f"{recipe.root}: {len(unfinished)} of {len(found)} shards are not finished, first {unfinished[0]}: "
+            "generate them (action=status lists them), or copy them here"
         )
-    indices = {
-        split: [load_index(recipe.root, shard.file) for shard in shards] for split, shards in recipe.shards.items()
-    }
+    indices = {split: [found[shard.file] for shard in shards] for split, shards in recipe.shards.items()}
     content = manifest_json(recipe.name, recipe.settings, recipe.views, indices)
     path = recipe.root / MANIFEST_FILE
     if not path.exists() or path.read_bytes() != to_json(content):
@@ -107,8 +106,8 @@ def generate(recipe: Recipe, farm: RenderFarm, progress: Callable[[int, int], No
 
 
 @contextmanager
-def _alone(recipe: Recipe, part: Slice) -> Iterator[None]:
-    """Lock a slice for this process; the lock is released when the process ends."""
+def _locked(recipe: Recipe, part: Slice) -> Iterator[None]:
+    """Lock a slice for this process; the lock is released when the process exits."""
     path = recipe.root / f".slice-{part.index}-of-{part.count}.lock"
     try:
         with FileLock(path, blocking=False):
@@ -120,9 +119,3 @@ def _alone(recipe: Recipe, part: Slice) -> Iterator[None]:
         raise UserError(
             f"{recipe.root}: another process is making slice {part.index} of {part.count} there: wait for it, or end it"
         ) from None
-
-
-def _work(unfinished: list[UnfinishedShard], missing: dict[str, set[str]]) -> Iterator[tuple[SceneTask, SampleFolder]]:
-    for shard in unfinished:
-        wanted = set(missing[shard.shard.file])
-        yield from ((task, shard.folder) for task in shard.shard.tasks if task.key in wanted)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, Protocol, runtime_checkable
@@ -22,7 +22,7 @@ from rfpp.shards.acceptance import EMPTY, UNLIT, Acceptance
 from rfpp.shards.sample import SceneSample, encode
 from rfpp.shards.scene_rays import SceneRays
 
-#: Part of every seed: never renumber. `train_newviews` shows training scenes to other cameras.
+#: Part of every seed: never renumber. `train_newviews` shows training scenes from other cameras.
 SPLIT_CODES = {"train": 0, "train_newviews": 1, "test": 2, "validation": 3}
 _ROLES = {"scene": 0, "cameras": 1, "render": 2, "light": 3}
 
@@ -40,19 +40,18 @@ class SceneSource(Protocol):
 
 @dataclass(frozen=True)
 class DatasetSettings:
-    """What to generate, and where. Values are in conf/data/*.yaml.
+    """Size, location and contents of a data set. Values are in conf/data/*.yaml.
 
     Attributes:
         name: of the data set.
         root: folder to write.
         seed: non-negative; with split and index it determines every scene.
-        resolution: images are square, this many pixels wide.
+        resolution: width and height of the images in pixels.
         views: cameras per scene.
-        light_samples: shadow rays per light and pixel of the G-buffers' direct light, and rays per pixel of their
-            reflection.
-        splits: scenes in each split of `SPLIT_CODES`; "train_newviews" are the first training scenes, other cameras.
+        light_samples: shadow rays per light and pixel of the G-buffers, and reflection rays per pixel.
+        splits: number of scenes in each split of `SPLIT_CODES`; "train_newviews" are the first training scenes.
         scenes_per_shard: scenes in one tar.
-        acceptance: which views are rendered.
+        acceptance: criteria for views.
     """
 
     name: str
@@ -73,15 +72,16 @@ class DatasetSettings:
                 raise UserError(f"data.{name} is {getattr(self, name)}: use 1 or more")
         if self.seed < 0:
             raise UserError(f"data.seed is {self.seed}: use 0 or more")
-        if unknown := set(self.splits) - set(SPLIT_CODES):
-            raise UserError(f"data.splits.{min(unknown)} does not exist: choose from {', '.join(SPLIT_CODES)}")
-        if negative := [split for split, count in self.splits.items() if count < 0]:
-            raise UserError(f"data.splits.{negative[0]} is {self.splits[negative[0]]}: use 0 or more")
+        for split, count in self.splits.items():
+            if split not in SPLIT_CODES:
+                raise UserError(f"data.splits.{split} does not exist: choose from {', '.join(SPLIT_CODES)}")
+            if count < 0:
+                raise UserError(f"data.splits.{split} is {count}: use 0 or more")
         if self.splits.get("train_newviews", 0) > self.splits.get("train", 0):
             raise UserError("data.splits.train_newviews is larger than data.splits.train, whose scenes it shows")
 
     def content(self) -> dict[str, Any]:
-        """The settings that samples depend on, without location and number of samples."""
+        """Return the settings that samples depend on, without location and number of samples."""
         values = dataclasses.asdict(self)
         return {name: value for name, value in values.items() if name not in ("name", "root", "splits")}
 
@@ -99,13 +99,13 @@ class SceneTask:
 
     @property
     def scene_split(self) -> str:
-        """The split whose scene this is."""
+        """Split that the scene belongs to."""
         return "train" if self.split == "train_newviews" else self.split
 
 
 @dataclass(frozen=True)
 class MadeScene:
-    """A finished sample as tar blocks, with what the index records of it (`rfpp.shards.index.SampleEntry`)."""
+    """A finished sample as tar blocks, with its counts for the index (`rfpp.shards.index.SampleEntry`)."""
 
     blocks: bytes
     triangles: int
@@ -114,17 +114,23 @@ class MadeScene:
     empty_views: int
     unlit_views: int
 
+    @classmethod
+    def of(cls, sample: SceneSample) -> MadeScene:
+        """Pack a sample, whose meta data state the redraws. Raises ShardError (see `rfpp.shards.sample.encode`)."""
+        blocks = tar.pack(sample.key, encode(sample))
+        return cls(blocks, len(sample.triangles), sample.triangles.num_objects, **sample.meta["redraws"])
+
 
 @dataclass(frozen=True)
 class SceneJob:
     """Makes samples; picklable, so that worker processes can run it.
 
-    A sample depends on its task and these attributes alone, whoever makes it, and after whatever others.
+    A sample depends only on its task and these attributes.
 
     Attributes:
-        family: where scenes come from.
-        reference: Cycles settings; the noise seed is replaced by one per sample.
-        data: what a sample looks like and what makes one acceptable.
+        family: source of the scenes.
+        reference: Cycles settings; each sample replaces the noise seed.
+        data: properties of the samples.
         fingerprint: of all settings, stored in each sample.
         render: renders images; has the signature of `rfpp.reference.cycles.render`.
     """
@@ -137,41 +143,51 @@ class SceneJob:
 
     def __call__(self, task: SceneTask) -> MadeScene:
         """Draw until all views are accepted, then render. Raises SceneError after too many attempts."""
-        refused: Counter[str] = Counter()
-        attempt, rays, cameras = self._accepted(
-            task, task.scene_split, range(self.data.acceptance.scene_attempts), refused
-        )
-        if task.split != task.scene_split:  # the scene is the one that was accepted there; its new views count here
-            refused.clear()
-            attempt, rays, cameras = self._accepted(task, task.split, [attempt], refused)
-        triangles, (c2w, fov) = rays.triangles, poses(cameras)
-        light = self._seed(task.split, task.index, "light", attempt)
-        redraws = {"scene_redraws": attempt, EMPTY: refused[EMPTY], UNLIT: refused[UNLIT]}
+        rejected: Counter[str] = Counter()
+        attempts = range(self.data.acceptance.scene_attempts)
+        attempt, rays, cameras = self._accepted(task, task.scene_split, attempts, rejected)
+        if task.split != task.scene_split:  # the scene accepted there, with new views; only these are counted here
+            rejected.clear()
+            attempt, rays, cameras = self._accepted(task, task.split, [attempt], rejected)
+        c2w, fov = poses(cameras)
+        resolution, light_seed = self.data.resolution, self._seed(task.split, task.index, "light", attempt)
+        meta = {
+            "family": self.family.name,
+            "seed": self.data.seed,
+            "split": task.split,
+            "index": task.index,
+            "redraws": {"scene_redraws": attempt, EMPTY: rejected[EMPTY], UNLIT: rejected[UNLIT]},
+            "settings": self.fingerprint,
+            "cameras": [camera.model_dump(mode="json") for camera in cameras],
+        }
+        # each sample has its own noise: a pattern common to all images could be learned
+        noise = self._seed(task.split, task.index, "render", attempt, self.reference.seed).generate_state(1)[0]
+        settings = dataclasses.replace(self.reference, seed=int(noise >> 1))  # Cycles' seeds have 31 bits
         sample = SceneSample(
             key=task.key,
-            triangles=triangles,
+            triangles=rays.triangles,
             c2w=c2w,
             fov=fov,
-            images=self._render(task, attempt, triangles, c2w, fov),
-            gbuffers=rays.gbuffers(c2w, fov, self.data.resolution, self.data.light_samples, light),
-            meta=self._meta(task, cameras, redraws),
+            images=self.render(rays.triangles, c2w, fov, resolution, resolution, settings),
+            gbuffers=rays.gbuffers(c2w, fov, resolution, self.data.light_samples, light_seed),
+            meta=meta,
         )
-        return MadeScene(tar.pack(task.key, encode(sample)), len(triangles), triangles.num_objects, **redraws)
+        return MadeScene.of(sample)
 
     def _accepted(
-        self, task: SceneTask, split: str, attempts: Iterable[int], refused: Counter[str]
+        self, task: SceneTask, split: str, attempts: Iterable[int], rejected: Counter[str]
     ) -> tuple[int, SceneRays, tuple[Camera, ...]]:
-        """The first draw of the scene whose views for `split` are all accepted, and these views."""
+        """Return the first draw of the scene whose views for `split` are all accepted, and these views."""
         for attempt in attempts:
             rngs = self._rngs(task, split, attempt, camera_attempt=0)
             rays = SceneRays(SceneTriangles.from_scene(self.family.sample(*rngs, held_out=task.scene_split == "test")))
-            cameras = self.data.acceptance.cameras(rays, partial(self._cameras, task, split, attempt), refused)
+            cameras = self.data.acceptance.cameras(rays, partial(self._cameras, task, split, attempt), rejected)
             if cameras is not None:
                 return attempt, rays, cameras
         acceptance = self.data.acceptance
         raise SceneError(
             f"{task.key}: no acceptable views in {acceptance.scene_attempts} scenes x {acceptance.camera_attempts} "
-            f"camera draws ({refused[EMPTY]} saw too little, {refused[UNLIT]} too little light): lower "
+            f"camera draws ({rejected[EMPTY]} saw too little, {rejected[UNLIT]} too little light): lower "
             "data.acceptance.min_coverage, min_lit or min_radiance, or allow more attempts"
         )
 
@@ -184,30 +200,10 @@ class SceneJob:
     def _rngs(
         self, task: SceneTask, split: str, attempt: int, camera_attempt: int
     ) -> tuple[np.random.Generator, np.random.Generator]:
-        """Of a scene and of its cameras."""
+        """Return the generators of a scene and of its cameras."""
         scene = self._seed(task.scene_split, task.index, "scene", attempt)
         cameras = self._seed(split, task.index, "cameras", attempt, camera_attempt)
         return np.random.default_rng(scene), np.random.default_rng(cameras)
 
-    def _render(
-        self, task: SceneTask, attempt: int, triangles: SceneTriangles, c2w: np.ndarray, fov: np.ndarray
-    ) -> np.ndarray:
-        # Noise of its own for every sample: a pattern common to all images could be learned.
-        seed = self._seed(task.split, task.index, "render", attempt, self.reference.seed).generate_state(1)[0]
-        settings = dataclasses.replace(self.reference, seed=int(seed >> 1))  # Cycles takes 31 bits
-        side = self.data.resolution
-        return self.render(triangles, c2w, fov, side, side, settings)
-
     def _seed(self, split: str, index: int, role: str, attempt: int, detail: int = 0) -> np.random.SeedSequence:
         return np.random.SeedSequence([self.data.seed, SPLIT_CODES[split], index, _ROLES[role], attempt, detail])
-
-    def _meta(self, task: SceneTask, cameras: Sequence[Camera], redraws: dict[str, int]) -> dict[str, Any]:
-        return {
-            "family": self.family.name,
-            "seed": self.data.seed,
-            "split": task.split,
-            "index": task.index,
-            "redraws": redraws,
-            "settings": self.fingerprint,
-            "cameras": [camera.model_dump(mode="json") for camera in cameras],
-        }

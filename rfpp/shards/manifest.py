@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import hashlib
-import json
-from collections.abc import Iterable, Mapping
-from dataclasses import asdict
-from pathlib import Path
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
+from pydantic import ValidationError
+
 from rfpp.errors import ShardError
-from rfpp.files import is_plain_name
+from rfpp.scene.spec import first_problem
 from rfpp.shards.cache import ShardCache
-from rfpp.shards.index import REMEDY, ListedShard, SampleEntry, ShardIndex
+from rfpp.shards.index import ListedShard, PlainName, Record, SampleEntry, ShardIndex
 from rfpp.shards.sample import SCHEMA_VERSION
-from rfpp.shards.store import Store, open_store
+from rfpp.shards.store import REMEDY, Root, open_store
+from rfpp.shards.stored_shard import StoredShard
 
 MANIFEST_FILE = "manifest.json"
 
@@ -22,37 +24,50 @@ MANIFEST_FILE = "manifest.json"
 _COUNTED = ("triangles", "scene_redraws", "empty_views", "unlit_views")
 
 
+class _Content(Record):
+    """Content of manifest.json."""
+
+    schema_version: int
+    name: PlainName  # results are written to a folder of that name
+    settings: dict[str, Any]
+    counts: dict[str, int]
+    splits: dict[str, tuple[ListedShard, ...]]
+
+
+@dataclass(frozen=True)
 class Manifest:
-    """A complete data set. Samples are listed in the shards' indices, which are read on demand.
+    """A complete data set, or several used as one. Samples are listed in the shards' indices, read on demand.
 
     Attributes:
-        store: where it lies.
-        name: its name.
-        settings: everything its content depends on.
-        hash: sha256 of the manifest file; as the manifest holds every shard's hash, it identifies the data.
-        counts: "scenes", "images", "triangles", "bytes", "scene_redraws", "empty_views", "unlit_views" over all splits.
+        root: folder or URL; of several, separated by commas.
+        name: of several, joined by "+".
+        hash: sha256 of the manifest file, which identifies the data; of several, a hash of their hashes.
+        settings: everything the content depends on; of several, by name.
+        counts: "scenes", "images", "triangles", "bytes", "scene_redraws", "empty_views", "unlit_views" of all splits.
+        splits: split → shards, of one data set after the other.
     """
 
-    def __init__(self, store: Store, content: dict[str, Any], digest: str) -> None:
-        self.store = store
-        self.name: str = content["name"]
-        if not is_plain_name(self.name):  # results are written to a folder of that name
-            raise ValueError(f"{self.name!r} is not the name of a data set")
-        self.settings: dict[str, Any] = content["settings"]
-        self.counts: dict[str, int] = content["counts"]
-        self.hash = digest
-        self._splits = {
-            split: tuple(ListedShard(**shard) for shard in shards) for split, shards in content["splits"].items()
-        }
+    root: Root
+    name: str
+    hash: str
+    settings: Mapping[str, Any]
+    counts: Mapping[str, int]
+    splits: Mapping[str, tuple[StoredShard, ...]]
 
     @classmethod
-    def load(cls, root: str | Path, cache: ShardCache | None = None) -> Manifest:
-        """Read the manifest of the data set in the folder `root`, or behind that URL.
+    def load(cls, root: Root | Sequence[Root], cache: ShardCache | None = None) -> Manifest:
+        """Read the manifest of a data set, or of several to be used as one; one listed twice counts twice.
+
+        Args:
+            root: Folder or URL, or several.
+            cache: Cache for URLs.
 
         Raises:
-            ShardError: absent, unreadable, or of another schema version.
-            UserError: the server cannot be reached, or a URL comes without a cache.
+            ShardError: If a manifest is missing, unreadable or of another schema version, or image sizes differ.
+            UserError: If a server cannot be reached, or a URL has no cache.
         """
+        if not isinstance(root, Root):
+            return _joined([cls.load(one, cache) for one in root])
         store = open_store(root, cache)
         path = f"{store.root}/{MANIFEST_FILE}"
         try:
@@ -60,73 +75,62 @@ class Manifest:
         except OSError:
             raise ShardError(f"{path}: there is no finished data set here: {REMEDY}, or set data.root") from None
         try:
-            content = json.loads(text)
-            version = content["schema_version"]
-            if version == SCHEMA_VERSION:
-                return cls(store, content, hashlib.sha256(text).hexdigest())
-        except (ValueError, KeyError, TypeError, AttributeError) as error:
-            raise ShardError(f"{path}: not a data set manifest ({error!r}): delete it and {REMEDY}") from error
-        raise ShardError(
-            f"{path}: schema version {version}, this code reads {SCHEMA_VERSION}: generate the data again in a new "
-            "folder (data.name), or use the matching code"
-        )
-
-    def shards(self, split: str) -> tuple[ListedShard, ...]:
-        """The shards of a split. Raises ShardError naming the splits there are."""
-        if split not in self._splits:
-            raise ShardError(f"{self.root}/{MANIFEST_FILE}: no split '{split}': choose from {', '.join(self._splits)}")
-        return self._splits[split]
-
-    def index(self, shard: ListedShard) -> ShardIndex:
-        """The index of a shard. Raises ShardError naming the file: missing, or not the one that was listed."""
-        text = self.store.read_index(shard)
-        if hashlib.sha256(text).hexdigest() != shard.index_sha256:
+            content = _Content.model_validate_json(text)
+        except ValidationError as error:
+            reason = first_problem(error)
+            raise ShardError(f"{path}: not a data set manifest ({reason}): delete it and {REMEDY}") from error
+        if content.schema_version != SCHEMA_VERSION:
             raise ShardError(
-                f"{self.root}/{shard.index_file}: the index does not have the sha256 in the manifest: "
-                f"{shard.remedy_at(self.root)}"
+                f"{path}: schema version {content.schema_version}, this code reads {SCHEMA_VERSION}: generate the data "
+                "again in a new folder (data.name)"
             )
-        try:
-            index = ShardIndex.from_bytes(text)
-            if len(index.samples) != shard.samples:
-                raise ValueError(f"it lists {len(index.samples)} samples, the manifest says {shard.samples}")
-        except (ValueError, KeyError, TypeError, AttributeError) as error:
-            why = f"{self.root}/{shard.index_file}: not the index of a shard ({error})"
-            raise ShardError(f"{why}: {shard.remedy_at(self.root)}") from error
-        return index
+        splits = {s: tuple(StoredShard(shard, store) for shard in shards) for s, shards in content.splits.items()}
+        digest = hashlib.sha256(text).hexdigest()
+        return cls(store.root, content.name, digest, content.settings, content.counts, splits)
+
+    def shards(self, split: str) -> tuple[StoredShard, ...]:
+        """Return the shards of a split. Raises ShardError listing the available splits."""
+        if split not in self.splits:
+            raise ShardError(f"{self.root}/{MANIFEST_FILE}: no split '{split}': choose from {', '.join(self.splits)}")
+        return self.splits[split]
 
     def samples(self, split: str) -> list[SampleEntry]:
-        """The samples of a split in order of their index; reads the index of every shard."""
-        return [entry for shard in self.shards(split) for entry in self.index(shard).samples]
+        """Return the samples of a split in order; reads the index of every shard."""
+        return [entry for shard in self.shards(split) for entry in shard.index().samples]
 
-    @property
-    def root(self) -> str | Path:
-        """The data set's folder or URL."""
-        return self.store.root
 
-    @property
-    def splits(self) -> tuple[str, ...]:
-        return tuple(self._splits)
+def _joined(manifests: Sequence[Manifest]) -> Manifest:
+    if not manifests:
+        raise ShardError("datamodule.source.root names no data set: give a folder, or several")
+    sizes = {str(m.root): m.settings["data"]["resolution"] for m in manifests}
+    if len(set(sizes.values())) > 1:
+        found = ", ".join(f"{root}: {size}²" for root, size in sizes.items())
+        raise ShardError(f"images differ in size ({found}): train on data sets of one resolution")
+    common = [split for split in manifests[0].splits if all(split in m.splits for m in manifests)]
+    return Manifest(
+        root=",".join(sizes),
+        name="+".join(m.name for m in manifests),
+        hash=hashlib.sha256("".join(m.hash for m in manifests).encode()).hexdigest(),
+        settings={m.name: m.settings for m in manifests},
+        counts=dict(sum((Counter(m.counts) for m in manifests), Counter())),
+        splits={split: tuple(shard for m in manifests for shard in m.splits[split]) for split in common},
+    )
 
 
 def manifest_json(
     name: str, settings: Mapping[str, Any], views: int, splits: Mapping[str, Iterable[ShardIndex]]
 ) -> dict[str, Any]:
-    """The content of manifest.json; a function of the data alone, so that equal data have equal hashes."""
-    listed: dict[str, list[dict[str, Any]]] = {}
-    counts = dict.fromkeys(("scenes", "images", "bytes", *_COUNTED), 0)
-    for split, indices in splits.items():
-        listed[split] = []
-        for index in indices:
-            listed[split].append(asdict(ListedShard.of(index)))
-            counts["scenes"] += len(index.samples)
-            counts["images"] += len(index.samples) * views
-            counts["bytes"] += index.bytes
-            for column in _COUNTED:
-                counts[column] += sum(getattr(entry, column) for entry in index.samples)
+    """Return the content of manifest.json, a function of the data alone: equal data have equal hashes."""
+    indices = {split: tuple(of_split) for split, of_split in splits.items()}
+    shards = [index for of_split in indices.values() for index in of_split]
+    entries = [entry for index in shards for entry in index.samples]
+    counts = {"scenes": len(entries), "images": len(entries) * views, "bytes": sum(index.bytes for index in shards)}
     return {
         "schema_version": SCHEMA_VERSION,
         "name": name,
         "settings": settings,
-        "counts": counts,
-        "splits": listed,
+        "counts": counts | {column: sum(getattr(entry, column) for entry in entries) for column in _COUNTED},
+        "splits": {
+            split: [ListedShard.of(index).model_dump() for index in of_split] for split, of_split in indices.items()
+        },
     }

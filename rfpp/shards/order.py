@@ -11,17 +11,16 @@ import numpy as np
 class ShuffledOrder:
     """Every sample once per epoch, in an order that is independent of the number of reading processes.
 
-    Each epoch takes the shards in random order and shuffles the samples of `window` of them at a time, so that few
-    files are open and a remote shard is fetched once per epoch. Going on from any position costs no more than
-    shuffling one window.
+    Each epoch permutes the shards and shuffles the samples of `window` shards at a time, so that few files are open
+    and a remote shard is fetched once per epoch. Resuming at any position costs at most one window's shuffle.
 
     Args:
-        sizes: samples in each shard.
-        seed: of the order.
-        window: shards that are mixed.
+        sizes: Samples in each shard.
+        seed: Seed of the order.
+        window: Shards shuffled together.
 
     Raises:
-        ValueError: there is no sample, or no shard in a window.
+        ValueError: If there are no samples, or the window is empty.
     """
 
     def __init__(self, sizes: Sequence[int], seed: int, window: int) -> None:
@@ -33,11 +32,11 @@ class ShuffledOrder:
         self._window = window
 
     def __len__(self) -> int:
-        """Samples in an epoch."""
+        """Return the number of samples in an epoch."""
         return int(self._ends[-1])
 
     def draws(self, start: int = 0) -> Iterator[tuple[int, int]]:
-        """Infinite sequence of (epoch, sample), from the `start`-th on."""
+        """Yield (epoch, sample) without end, beginning with draw number `start`."""
         first_epoch, position = divmod(start, len(self))
         for epoch in count(first_epoch):
             for sample in self._epoch(epoch, position):
@@ -58,12 +57,7 @@ class ShuffledOrder:
         return np.random.default_rng(np.random.SeedSequence([self._seed, epoch], spawn_key=(part,)))
 
 
-def leading(sizes: Sequence[int], samples: int) -> list[int]:
-    """The sizes of the shards with the first `count` samples, the last one truncated."""
-    kept = []
-    for size in sizes:
-        if samples <= 0:
-            break
-        kept.append(min(size, samples))
-        samples -= size
-    return kept
+def truncated(sizes: Sequence[int], samples: int) -> list[int]:
+    """Return the sizes of the shards that hold the first `samples` samples, the last shard truncated."""
+    ends = np.minimum(np.cumsum([0, *sizes]), samples)
+    return [size for size in np.diff(ends).tolist() if size]

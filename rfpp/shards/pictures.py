@@ -9,25 +9,25 @@ from typing import SupportsFloat
 import numpy as np
 from jaxtyping import UInt8
 
+from rfpp.imaging import panels
 from rfpp.raycast.direct_light import direct_radiance
 from rfpp.raycast.first_hit import DirectLight, GBuffer, camera_caster, channel, first_hit, object_ids
 from rfpp.raycast.raycast import RayCaster
-from rfpp.imaging import panels
 from rfpp.scene.packed import PackedScene, pack
 from rfpp.scene.spec import Scene
 from rfpp.scene.triangles import SceneTriangles
 from rfpp.shards.sample import SceneSample
 from rfpp.shards.scene_rays import SceneRays
 
-#: Light from everywhere that stands in for all bounces after the first on contact sheets.
+#: Ambient light in place of indirect light on contact sheets.
 _AMBIENT = 0.08
 _LIGHT_SAMPLES = 4
-_WIREFRAME = 256  # pixels at least, so that triangles of a pixel show their edges
+_WIREFRAME = 256  # minimum width in pixels, so that triangles of one pixel show their edges
 _SUPERSAMPLING = 2
 
 
 def sample_panel(sample: SceneSample) -> UInt8[np.ndarray, "h w 3"]:
-    """One row per view of a sample: image, direct and reflected light, G-buffers, and the triangles by their edges."""
+    """Draw one row per view of a sample: image, direct and reflected light, G-buffers, and a wireframe."""
     triangles, material = sample.triangles, sample.triangles.material
     views = list(zip(sample.gbuffers, sample.c2w, sample.fov, strict=True))
     caster = camera_caster(triangles)
@@ -56,11 +56,11 @@ def sample_panel(sample: SceneSample) -> UInt8[np.ndarray, "h w 3"]:
 
 
 def contact_sheet(scenes: Iterable[Scene | PackedScene], resolution: int) -> UInt8[np.ndarray, "h w 3"]:
-    """First views of scenes without path tracing: direct light, shadows, and an ambient term.
+    """Draw the first view of each scene without path tracing: direct light, shadows, and an ambient term.
 
     Args:
-        scenes: each with a camera at least.
-        resolution: pixels along a side of each picture.
+        scenes: Each with at least one camera.
+        resolution: Width and height of each picture in pixels.
     """
     packed = [pack(scene) for scene in scenes]
     captions = [f"{index}: {_contents(scene.triangles)}" for index, scene in enumerate(packed)]
@@ -68,39 +68,39 @@ def contact_sheet(scenes: Iterable[Scene | PackedScene], resolution: int) -> UIn
 
 
 def with_ambient(gbuffer: GBuffer, ambient: float) -> GBuffer:
-    """The G-buffer with an ambient term added to its light."""
+    """Return the G-buffer with an ambient term added to its light."""
     return replace(gbuffer, light=DirectLight(gbuffer.light.diffuse + ambient, gbuffer.light.glossy + ambient))
 
 
 def _preview(scene: PackedScene, resolution: int) -> UInt8[np.ndarray, "h w 3"]:
     pose, fov, rays = scene.c2w[0], scene.fov[0], SceneRays(scene.triangles)
-    lit = rays.with_direct_light(rays.first_hit(pose, fov, resolution), pose, fov, _LIGHT_SAMPLES, seed=0)
-    return panels.tone_mapped(direct_radiance(with_ambient(lit, _AMBIENT), scene.triangles.material))
+    gbuffer = rays.with_direct_light(rays.first_hit(pose, fov, resolution), pose, fov, _LIGHT_SAMPLES, seed=0)
+    return panels.tone_mapped(direct_radiance(with_ambient(gbuffer, _AMBIENT), scene.triangles.material))
 
 
 def _wireframe(
     triangles: SceneTriangles, pose: np.ndarray, fov: SupportsFloat, height: int, width: int, caster: RayCaster
 ) -> UInt8[np.ndarray, "h w 3"]:
-    """Dark lines between pixels that see different triangles, over shading by normal."""
+    """Draw dark lines between pixels that see different triangles, over shading by normal."""
     enlarged = -(-_WIREFRAME // max(height, width))
     fine = enlarged * _SUPERSAMPLING
-    seen = first_hit(triangles, pose, fov, height * fine, width * fine, caster)
-    padded = np.pad(seen.triangle, ((0, 1), (0, 1)), mode="edge")
+    gbuffer = first_hit(triangles, pose, fov, height * fine, width * fine, caster)
+    padded = np.pad(gbuffer.triangle, ((0, 1), (0, 1)), mode="edge")
     edge = (padded[:-1, :-1] != padded[1:, :-1]) | (padded[:-1, :-1] != padded[:-1, 1:])
-    shade = np.where(seen.hit, 0.35 + 0.65 * seen.normal[..., 2].clip(0), 1) * np.where(edge, 0.25, 1)
+    shade = np.where(gbuffer.hit, 0.35 + 0.65 * gbuffer.normal[..., 2].clip(0), 1) * np.where(edge, 0.25, 1)
     blocks = shade.reshape(height * enlarged, _SUPERSAMPLING, width * enlarged, _SUPERSAMPLING).mean((1, 3))
     return np.repeat((255 * blocks).astype(np.uint8)[..., None], 3, axis=-1)
 
 
 def _normal_colours(gbuffer: GBuffer) -> UInt8[np.ndarray, "h w 3"]:
-    """Right is red, up green, towards the camera blue."""
+    """Colour normals: right is red, up is green, towards the camera is blue."""
     return (np.where(gbuffer.hit[..., None], gbuffer.normal.clip(-1, 1) + 1, 0) * 127.5).astype(np.uint8)
 
 
 def _depth_colours(gbuffer: GBuffer) -> UInt8[np.ndarray, "h w 3"]:
-    """From the nearest to the farthest hit; black is nothing."""
-    seen = gbuffer.depth[gbuffer.hit]
-    near, far = (seen.min(), seen.max()) if len(seen) else (0.0, 0.0)
+    """Colour depth from the nearest to the farthest hit; black where nothing is hit."""
+    depths = gbuffer.depth[gbuffer.hit]
+    near, far = (depths.min(), depths.max()) if len(depths) else (0.0, 0.0)
     share = (far - gbuffer.depth) / max(far - near, 1e-6)
     return panels.false_colours(np.where(gbuffer.hit, 0.1 + 0.9 * share, 0))
 

@@ -1,7 +1,7 @@
 """Import RenderFormer's H5 training files as a data set.
 
-Images come from the files; G-buffers and their direct light from our caster. A sample is a pure function of its file;
-the names of all files say into which split it falls.
+Images come from the files; G-buffers and their direct light are computed. A sample is a pure function of its file; its
+split follows from the names of all files.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ import numpy as np
 
 from rfpp.errors import SceneError, ShardError, UserError
 from rfpp.scene.io.renderformer_h5 import image_shape, load_h5, load_images
-from rfpp.shards import tar
+from rfpp.shards.acceptance import EMPTY, UNLIT
 from rfpp.shards.export import look_at
 from rfpp.shards.job import DatasetSettings, MadeScene, SceneTask
 from rfpp.shards.recipe import Recipe, fingerprint_of
-from rfpp.shards.sample import SCHEMA_VERSION, SceneSample, encode
+from rfpp.shards.sample import SCHEMA_VERSION, SceneSample
 from rfpp.shards.scene_rays import SceneRays
 
 
@@ -29,12 +29,12 @@ class Import:
     """The *.h5 files of a folder, by split.
 
     Attributes:
-        folder: holds the files; they must agree in the number of views and in resolution.
-        validation, test: shares of the files for these splits, drawn by a hash of the names, at least one file each
-            unless the share is 0; the rest is for training.
+        folder: folder of the files, which must agree in number of views and resolution.
+        validation, test: shares of the files in these splits, drawn by a hash of the names; at least one file each
+            unless the share is 0. The rest is for training.
 
     Raises:
-        UserError: no such folder, no files, or shares that leave none for training.
+        UserError: If the folder is missing or empty, or no file is left for training.
     """
 
     folder: Path
@@ -43,7 +43,7 @@ class Import:
 
     def __post_init__(self) -> None:
         if not self.folder.is_dir():
-            raise UserError(f"{self.folder}: there is no such folder: give the one with the H5 files to import")
+            raise UserError(f"{self.folder}: there is no such folder: give the folder with the H5 files to import")
         if not self.files:
             raise UserError(f"{self.folder}: holds no *.h5 files: give the folder with the H5 files to import")
         for split in ("validation", "test"):
@@ -67,13 +67,13 @@ class Import:
         return {split: tuple(sorted(part)) for split, part in parts.items()}
 
     def recipe(self, data: DatasetSettings) -> Recipe:
-        """The data set of these files, generated and merged like any other.
+        """Return the recipe of a data set of these files.
 
         Args:
-            data: name, root, light_samples and scenes_per_shard; the files say the rest.
+            data: Name, root, light_samples and scenes_per_shard; the files determine everything else.
 
         Raises:
-            SceneError: naming a file that has no images, or not of the shape of the first.
+            SceneError: If a file has no images, or images of another shape than the first.
         """
         views, resolution = self._common_shape()
         listing = "\n".join(f"{path.name} {path.stat().st_size}" for path in self.files)
@@ -98,26 +98,26 @@ class Import:
         )
 
     def _common_shape(self) -> tuple[int, int]:
-        """Views and resolution of the images in all files."""
+        """Return the number of views and the resolution of the images in all files."""
         first = image_shape(self.files[0])
         for path in self.files:
             views, height, width = image_shape(path)
             if height != width:
-                raise SceneError(f"{path}: images of {width} x {height} pixels, and only square ones can be trained on")
+                raise SceneError(f"{path}: images of {width} x {height} pixels: training supports only square images")
             if (views, height, width) != first:
                 raise SceneError(
                     f"{path}: {views} views of {height} x {width} pixels, where {self.files[0].name} has {first[0]} of "
-                    f"{first[1]} x {first[2]}: move it to a folder of its own"
+                    f"{first[1]} x {first[2]}: move it to another folder"
                 )
         return first[:2]
 
 
 @dataclass(frozen=True)
 class ImportJob:
-    """Makes a sample of a file; picklable, so that worker processes can run it, and small, as each task comes with it.
+    """Makes a sample of a file; picklable, and small because it is sent with each task.
 
     Attributes:
-        folder, validation, test: of the `Import`.
+        folder, validation, test: as in `Import`.
         light_samples: as in `DatasetSettings`.
         fingerprint: of all settings, stored in each sample.
     """
@@ -129,35 +129,31 @@ class ImportJob:
     fingerprint: str
 
     def __call__(self, task: SceneTask) -> MadeScene:
-        """Raises SceneError naming the file: it holds no scene, or textures, or radiance beyond half precision."""
-        path = _listed(self.folder, self.validation, self.test).splits[task.split][task.index]
+        """Raise SceneError naming the file if it is unreadable, textured, or beyond half precision."""
+        path = _imported(self.folder, self.validation, self.test).splits[task.split][task.index]
         scene, images = load_h5(path), load_images(path)
         if scene.texture is not None:
             raise SceneError(
-                f"{path}: texture: varies within triangles, and samples hold one material for each: leave the file out"
+                f"{path}: texture: varies within triangles; samples hold one material per triangle: remove the file"
             )
         digest = hashlib.sha256(path.read_bytes())
-        redraws = {"scene_redraws": 0, "empty_views": 0, "unlit_views": 0}
         meta = {
             "family": "imported",
             "source": path.name,
             "source_sha256": digest.hexdigest(),
             "split": task.split,
             "index": task.index,
-            "redraws": redraws,
+            "redraws": {"scene_redraws": 0, EMPTY: 0, UNLIT: 0},
             "settings": self.fingerprint,
             "cameras": [look_at(*view).model_dump(mode="json") for view in zip(scene.c2w, scene.fov, strict=True)],
         }
         seed = np.random.SeedSequence(int.from_bytes(digest.digest()))
-        rays = SceneRays(scene.triangles)
-        gbuffers = rays.gbuffers(scene.c2w, scene.fov, images.shape[1], self.light_samples, seed)
-        sample = SceneSample(task.key, scene.triangles, scene.c2w, scene.fov, images, gbuffers, meta)
+        gbuffers = SceneRays(scene.triangles).gbuffers(scene.c2w, scene.fov, images.shape[1], self.light_samples, seed)
         try:
-            blocks = tar.pack(task.key, encode(sample))
+            return MadeScene.of(SceneSample(task.key, scene.triangles, scene.c2w, scene.fov, images, gbuffers, meta))
         except ShardError as error:
             raise SceneError(f"{path}: {error}") from None
-        return MadeScene(blocks, len(scene.triangles), scene.triangles.num_objects, **redraws)
 
 
-#: A worker lists the folder once, not for every file.
-_listed = cache(Import)
+#: Lists the folder once per worker, not once per file.
+_imported = cache(Import)

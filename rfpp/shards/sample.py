@@ -17,8 +17,8 @@ from safetensors.numpy import load as load_arrays
 from safetensors.numpy import save as save_arrays
 
 from rfpp.errors import ShardError
-from rfpp.raycast.first_hit import CHANNELS, DIRECT_CHANNELS, DirectLight, GBuffer, Reflection
 from rfpp.imaging.exr import ImageFileError, decode_exr, encode_exr
+from rfpp.raycast.first_hit import CHANNELS, DIRECT_CHANNELS, DirectLight, GBuffer, Reflection
 from rfpp.scene.triangles import SceneTriangles
 from rfpp.shards.consistency import require_consistent_scene, require_consistent_views, require_half_range
 
@@ -149,7 +149,7 @@ def _gbuffer(layers: Callable[[str], Mapping[str, np.ndarray]], channels: Collec
         light = DirectLight(*(stored[name].astype(np.float32) for name in DIRECT_CHANNELS))
     if _REFLECTED in channels:
         reflected = layers(_REFLECTION)[_REFLECTED].astype(np.float32)
-        reflection = Reflection(light=reflected, albedo=np.zeros_like(reflected))
+        reflection = Reflection(reflected)
     return GBuffer(
         triangle=surface["triangle"].astype(np.int32) - 1,
         normal=surface["normal"].astype(np.float32),

@@ -11,13 +11,13 @@ from rfpp.shards.recipe import Recipe
 
 @dataclass(frozen=True)
 class SplitStatus:
-    """Of one split.
+    """Progress of one split.
 
     Attributes:
-        shards, finished_shards: planned; in place and whole.
-        scenes, finished_scenes, waiting_scenes: planned; in finished shards; made, but waiting for their shard.
-        failures: key → what went wrong, of scenes that failed when they were last tried.
-        missing: numbers in the data set of the shards that are not finished.
+        shards, finished_shards: number planned; number finished.
+        scenes, finished_scenes, waiting_scenes: number planned; in finished shards; finished, in unfinished shards.
+        failures: key → error of scenes whose last attempt failed.
+        missing: positions of the unfinished shards in the data set.
     """
 
     shards: int
@@ -31,7 +31,7 @@ class SplitStatus:
 
 @dataclass(frozen=True)
 class Status:
-    """Of a data set: by split, and whether its manifest is written."""
+    """Progress by split, and whether the manifest is written."""
 
     splits: dict[str, SplitStatus]
     is_merged: bool
@@ -41,28 +41,24 @@ class Status:
         return not any(split.missing for split in self.splits.values())
 
     def slices(self, count: int) -> tuple[int, ...]:
-        """The unfinished ones of `count` slices."""
+        """Return the unfinished ones of `count` slices."""
         return tuple(sorted({number % count for split in self.splits.values() for number in split.missing}))
 
 
 def status(recipe: Recipe) -> Status:
-    """Read the status of a data set from its folder.
-
-    Raises:
-        ShardError: the folder holds data made with other settings.
-    """
-    splits, number = {}, 0
+    """Read the progress of a data set from its folder. Raises ShardError if it holds data of other settings."""
+    splits, first = {}, 0
     for split, shards in recipe.shards.items():
-        finished = [shard.is_finished(recipe.root, recipe.fingerprint) for shard in shards]
-        left = [UnfinishedShard.of(recipe, s) for s, whole in zip(shards, finished, strict=True) if not whole]
+        missing = [i for i, shard in enumerate(shards) if not shard.finished(recipe.root, recipe.fingerprint)]
+        unfinished = [UnfinishedShard(recipe, shards[number]) for number in missing]
         splits[split] = SplitStatus(
             shards=len(shards),
-            finished_shards=sum(finished),
+            finished_shards=len(shards) - len(missing),
             scenes=recipe.splits[split],
-            finished_scenes=sum(len(s.tasks) for s, whole in zip(shards, finished, strict=True) if whole),
-            waiting_scenes=sum(len(shard.shard.tasks) - len(shard.missing()) for shard in left),
-            failures={key: error for shard in left for key, error in shard.failures().items()},
-            missing=tuple(number + i for i, whole in enumerate(finished) if not whole),
+            finished_scenes=recipe.splits[split] - sum(len(shards[number].tasks) for number in missing),
+            waiting_scenes=sum(len(shard.shard.tasks) - len(shard.missing()) for shard in unfinished),
+            failures={key: error for shard in unfinished for key, error in shard.failures().items()},
+            missing=tuple(first + number for number in missing),
         )
-        number += len(shards)
+        first += len(shards)
     return Status(splits, (recipe.root / MANIFEST_FILE).exists())

@@ -14,18 +14,23 @@ import fsspec
 
 from rfpp.errors import MissingDependencyError, ShardError, UserError
 from rfpp.shards.cache import ShardCache
-from rfpp.shards.index import ListedShard
+from rfpp.shards.index import ListedShard, Shard
 
 Result = TypeVar("Result")
+#: Folder or URL of a data set.
+Root = str | Path
 
-#: Seconds to wait before a failed transfer is tried again.
+#: What to run if something is missing or damaged.
+REMEDY = "run launch/generate.py again with the same experiment"
+
+#: Seconds to wait before repeating a failed transfer.
 _PAUSES = (0.5, 2.0, 8.0)
 _NO_SPACE = (errno.ENOSPC, errno.EDQUOT)
 
 
 @dataclass(frozen=True)
 class FolderStore:
-    """A folder of this machine."""
+    """A folder on this machine."""
 
     root: Path
 
@@ -33,43 +38,67 @@ class FolderStore:
         """Read a small file without a known size or hash. Raises OSError."""
         return (self.root / file).read_bytes()
 
-    def open_tar(self, shard: ListedShard) -> int:
-        """A file descriptor. Raises ShardError naming the tar when it is missing or has another size."""
-        path = shard.require_intact_file(self.root)
+    def require(self, shard: Shard) -> Path:
+        """Return the tar's path. Raises ShardError if the tar is missing or has another size."""
+        path = self.root / shard.file
+        if not path.is_file():
+            raise ShardError(f"{path}: the shard is missing: {self.remedy(shard)}")
+        if (size := path.stat().st_size) != shard.bytes:
+            raise ShardError(
+                f"{path}: truncated or altered ({size} bytes, the manifest says {shard.bytes}): {self.remedy(shard)}"
+            )
+        return path
+
+    def open_tar(self, shard: Shard) -> int:
+        """Return a file descriptor of the tar. Raises ShardError if it is missing or has another size."""
+        path = self.require(shard)
         try:
             return os.open(path, os.O_RDONLY)
         except OSError as error:
             raise ShardError(f"{path}: cannot be opened ({error.strerror}): check its permissions") from error
 
     def read_index(self, shard: ListedShard) -> bytes:
-        """Raises ShardError naming the index when it cannot be read."""
+        """Read the index of a shard. Raises ShardError if it is missing."""
         path = self.root / shard.index_file
         try:
             return path.read_bytes()
         except OSError as error:
-            raise ShardError(f"{path}: the index cannot be read ({error.strerror}): {shard.remedy}") from error
+            raise ShardError(f"{path}: the index cannot be read ({error.strerror}): {self.remedy(shard)}") from error
+
+    def remedy(self, shard: Shard) -> str:
+        """Say how to replace a damaged shard."""
+        return f"delete {shard.file} and {shard.index_file}, and {REMEDY}"
 
 
 @dataclass(frozen=True)
 class RemoteStore:
-    """A folder behind a URL of any kind that fsspec knows, read through a cache.
+    """A folder behind any URL that fsspec supports, read through a cache.
 
-    Methods are those of `FolderStore`; what cannot be fetched in several attempts is a UserError that names its URL,
-    what keeps arriving in another size a ShardError.
+    The methods are those of `FolderStore`. A file that cannot be fetched in several attempts raises UserError naming
+    its URL; a file that repeatedly arrives in another size raises ShardError.
     """
 
     root: str
     cache: ShardCache
 
     def read(self, file: str) -> bytes:
-        return self._patiently(file, lambda files, path: files.cat_file(path))
+        return self._with_retries(file, lambda files, path: files.cat_file(path))
 
-    def open_tar(self, shard: ListedShard) -> int:
+    def require(self, shard: Shard) -> None:
+        """Do nothing: remote files are checked when they are fetched."""
+
+    def open_tar(self, shard: Shard) -> int:
         return self._cached(shard.file, shard.sha256, shard.bytes)
 
     def read_index(self, shard: ListedShard) -> bytes:
         with open(self._cached(shard.index_file, shard.index_sha256, shard.index_bytes), "rb") as file:
             return file.read()
+
+    def remedy(self, shard: Shard) -> str:
+        return (
+            f"delete *-{shard.file} and *-{shard.index_file} in datamodule.source.cache.folder, or repair them at "
+            "their source"
+        )
 
     def _cached(self, file: str, sha256: str, size: int) -> int:
         def fetch(target: Path) -> None:
@@ -79,29 +108,29 @@ class RemoteStore:
                     raise _TruncatedError(f"truncated or altered: {received} bytes, the manifest says {size}")
 
             try:
-                self._patiently(file, transfer)
+                self._with_retries(file, transfer)
             except FileNotFoundError:
                 raise ShardError(f"{self.root}/{file}: the file is missing: upload it, or set data.root") from None
 
         return self.cache.open(f"{sha256[:20]}-{file}", size, fetch)
 
-    def _patiently(self, file: str, transfer: Callable[[Any, str], Result]) -> Result:
+    def _with_retries(self, file: str, transfer: Callable[[Any, str], Result]) -> Result:
         url = f"{self.root}/{file}"
         try:
             files, path = fsspec.core.url_to_fs(url)
         except ImportError as error:
             raise MissingDependencyError(f"{url}: {error}") from error
         except ValueError as error:
-            raise UserError(f"{url}: {error}: set data.root to a folder or to a URL that fsspec knows") from error
+            raise UserError(f"{url}: {error}: set data.root to a folder or to a URL that fsspec supports") from error
         pauses = iter(_PAUSES)
         while True:
             try:
                 return transfer(files, path)
             except FileNotFoundError:
                 raise
-            except Exception as error:  # every kind of server has errors of its own
+            except Exception as error:  # each kind of server raises its own errors
                 if isinstance(error, OSError) and (error.filename or error.errno in _NO_SPACE):
-                    raise  # of this machine's disk
+                    raise  # the local disk is at fault
                 if (pause := next(pauses, None)) is None:
                     kind = ShardError if isinstance(error, _TruncatedError) else UserError
                     reason = " ".join(str(error).split()) or type(error).__name__
@@ -113,16 +142,16 @@ class RemoteStore:
 
 
 class _TruncatedError(Exception):
-    """A download was truncated or delivered a different file."""
+    """A download of the wrong size."""
 
 
 Store = FolderStore | RemoteStore
 
 
-def open_store(root: str | Path, cache: ShardCache | None = None) -> Store:
-    """The data set's folder at a path or a URL. Raises UserError when a URL comes without a cache to fetch to."""
+def open_store(root: Root, cache: ShardCache | None = None) -> Store:
+    """Return the store at a path or a URL. Raises UserError for a URL without a cache."""
     if "://" not in str(root):
         return FolderStore(Path(root))
     if cache is None:
-        raise UserError(f"{root}: a data set behind a URL needs a cache: set datamodule.cache")
+        raise UserError(f"{root}: a data set behind a URL needs a cache: set datamodule.source.cache")
     return RemoteStore(str(root).rstrip("/"), cache)

@@ -6,12 +6,12 @@ import io
 import tarfile
 from collections.abc import Mapping
 
-#: What ends every tar file.
+#: The end of every tar file.
 END_OF_ARCHIVE = bytes(2 * tarfile.BLOCKSIZE)
 
 
 def pack(key: str, members: Mapping[str, bytes]) -> bytes:
-    """The tar blocks of `{key}.{member}` files, in the given order, without the end of the archive."""
+    """Return the tar blocks of files `{key}.{member}` in the given order, without the end of the archive."""
     blocks = io.BytesIO()
     for member, data in members.items():
         entry = tarfile.TarInfo(f"{key}.{member}")
@@ -24,7 +24,7 @@ def pack(key: str, members: Mapping[str, bytes]) -> bytes:
 
 
 def unpack(blocks: bytes) -> tuple[str, dict[str, bytes]]:
-    """The key and the members of one sample's blocks. Raises tarfile.TarError on anything else."""
+    """Return the key and the members in one sample's blocks. Raises tarfile.TarError for invalid blocks."""
     members: dict[str, bytes] = {}
     key = ""
     with tarfile.open(fileobj=io.BytesIO(blocks)) as archive:

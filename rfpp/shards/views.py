@@ -1,4 +1,4 @@
-"""Views of stored scenes as networks take them."""
+"""Views of stored scenes in the form networks read."""
 
 from __future__ import annotations
 
@@ -10,30 +10,24 @@ from torch.utils.data import Dataset
 from rfpp.batch import SceneViews
 from rfpp.raycast.first_hit import stack_channels
 from rfpp.shards.dataset import ShardSplit
-from rfpp.shards.joined import JoinedSplit
 from rfpp.shards.sample import SceneSample, ViewChoice
 
 
 def select_views(sample: SceneSample, views: Sequence[int], channels: Sequence[str]) -> SceneViews:
-    """The chosen views of a stored scene, with the G-buffer channels a network asks for, channels first."""
-    material = sample.triangles.material
-    gbuffer = [stack_channels(sample.gbuffers[v], material, float(sample.fov[v]), channels) for v in views]
+    """Return some views of a stored scene with the given G-buffer channels, channels first."""
+    material, chosen = sample.triangles.material, list(views)
+    gbuffer = [stack_channels(sample.gbuffers[v], material, float(sample.fov[v]), channels) for v in chosen]
     return SceneViews(
         key=sample.key,
         triangles=sample.triangles,
-        c2w=sample.c2w[list(views)],
-        fov=sample.fov[list(views)],
+        c2w=sample.c2w[chosen],
+        fov=sample.fov[chosen],
         gbuffer=np.stack(gbuffer),
-        image=np.ascontiguousarray(sample.images[list(views)].transpose(0, 3, 1, 2)),
+        image=np.ascontiguousarray(sample.images[chosen].transpose(0, 3, 1, 2)),
     )
 
 
-def read_views(
-    split: ShardSplit | JoinedSplit,
-    index: int,
-    channels: Sequence[str],
-    choose: ViewChoice | None = None,
-) -> SceneViews:
+def read_views(split: ShardSplit, index: int, channels: Sequence[str], choose: ViewChoice | None = None) -> SceneViews:
     """Return `select_views` of the scene at `index`, decoding only these views and channels."""
     sample = split.read(index, choose, channels)
     return select_views(sample, range(len(sample.fov)), channels)
@@ -42,7 +36,7 @@ def read_views(
 class AllViews(Dataset):
     """Every view of each scene, as stored: for validation and evaluation."""
 
-    def __init__(self, split: ShardSplit | JoinedSplit, channels: Sequence[str]):
+    def __init__(self, split: ShardSplit, channels: Sequence[str]):
         self.split, self.channels = split, tuple(channels)
 
     def __len__(self) -> int:

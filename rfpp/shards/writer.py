@@ -16,44 +16,33 @@ from rfpp.shards.tar import END_OF_ARCHIVE
 
 
 class ShardWriter:
-    """Writes one tar under a temporary name; `commit` moves it into place and writes the index after it.
+    """Writes one tar under a temporary name; `commit` moves it into place and then writes its index.
 
     Args:
-        root: the data set's folder.
-        file: the tar's name.
-        fingerprint: identifies the settings that the samples are made with.
+        root: Folder of the data set.
+        file: Name of the tar.
+        fingerprint: Identifies the settings of the samples.
 
     Raises:
-        UserError: naming the tar, when the disk is full or the folder cannot be written; nothing is left behind.
+        UserError: If the disk is full or the folder cannot be written; nothing is left behind.
     """
 
     def __init__(self, root: Path, file: str, fingerprint: str) -> None:
-        self._root = root
-        self._name = file
-        self._fingerprint = fingerprint
+        self._root, self._name, self._fingerprint = root, file, fingerprint
         self._partial = root / f".{file}.part"
-        self._digest = hashlib.sha256()
-        self._size = 0
+        self._digest, self._size = hashlib.sha256(), 0
         self._samples: list[SampleEntry] = []
-        self.is_open = True  # until it is committed or discarded
         with self._reporting_full_disk():
             self._file = self._partial.open("wb")
 
-    @property
-    def keys(self) -> set[str]:
-        """Of the samples added so far."""
-        return {entry.key for entry in self._samples}
-
     def add(self, key: str, blocks: bytes, **counts: int) -> None:
-        """Append one packed sample (`rfpp.shards.tar.pack`), with the counts that `SampleEntry` records of it."""
+        """Append one packed sample (`rfpp.shards.tar.pack`) with its counts for `SampleEntry`."""
         digest = hashlib.sha256(blocks).hexdigest()
-        entry = SampleEntry(key=key, offset=self._size, size=len(blocks), sha256=digest, **counts)
+        self._samples.append(SampleEntry(key=key, offset=self._size, size=len(blocks), sha256=digest, **counts))
         self._append(blocks)
-        self._samples.append(entry)
 
     def commit(self) -> ShardIndex:
-        """Finish the tar, put it in place, then its index."""
-        self.is_open = False
+        """Finish the tar, move it into place, then write its index."""
         self._append(END_OF_ARCHIVE)
         path = self._root / index_file(self._name)
         with self._reporting_full_disk():
@@ -62,13 +51,18 @@ class ShardWriter:
             self._file.close()
             path.unlink(missing_ok=True)  # never an old index beside a new tar
             os.replace(self._partial, self._root / self._name)
-        index = ShardIndex(self._name, self._size, self._digest.hexdigest(), self._fingerprint, tuple(self._samples))
+        index = ShardIndex(
+            file=self._name,
+            bytes=self._size,
+            sha256=self._digest.hexdigest(),
+            fingerprint=self._fingerprint,
+            samples=tuple(self._samples),
+        )
         write_atomically(path, index.to_bytes())
         return index
 
     def discard(self) -> None:
         """Delete an unfinished shard."""
-        self.is_open = False
         with suppress(OSError):  # on a full disk even closing fails
             self._file.close()
         self._partial.unlink(missing_ok=True)
@@ -93,5 +87,5 @@ class ShardWriter:
 
 
 def write_json(path: Path, content: Any) -> None:
-    """Write compact, sorted JSON atomically: equal content, equal bytes. Raises UserError (full disk)."""
+    """Write compact, sorted JSON atomically: equal content gives equal bytes. Raises UserError (full disk)."""
     write_atomically(path, to_json(content))

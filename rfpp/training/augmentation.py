@@ -1,25 +1,33 @@
-"""Random changes of stored scenes whose images are known: rigid motion and permuted colours."""
+"""Random changes of stored views with known images: rigid motion and permuted colors."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from rfpp.batch import SceneViews
 from rfpp.raycast.first_hit import CHANNELS, COLOR_CHANNELS
-from rfpp.scene.triangles import DIFFUSE, EMISSION, SPECULAR, SceneTriangles
+from rfpp.scene.triangles import DIFFUSE, EMISSION, SPECULAR
+
+
+@runtime_checkable
+class Augmentation(Protocol):
+    """Changes the views of a scene at random; `channels` names their G-buffer channels in order."""
+
+    def __call__(self, views: SceneViews, channels: Sequence[str], rng: np.random.Generator) -> SceneViews: ...
 
 
 @dataclass(frozen=True)
-class RigidAugmentation:
+class RigidMotion:
     """Random rigid motion of scene and cameras; images and camera-space G-buffers do not change.
 
-    RSPE makes the network indifferent to translations but not to rotations (RenderFormer trains so too).
+    RSPE makes the network invariant to translations but not to rotations. RenderFormer uses this augmentation.
 
-    Args:
+    Attributes:
         rotation: standard deviation of each component of the rotation vector, radians.
         translation: standard deviation of each component of the translation, world units.
     """
@@ -27,38 +35,29 @@ class RigidAugmentation:
     rotation: float
     translation: float
 
-    def __call__(self, views: SceneViews, rng: np.random.Generator) -> SceneViews:
-        turn = Rotation.from_rotvec(rng.normal(0, self.rotation, 3)).as_matrix()
-        shift = rng.normal(0, self.translation, 3)
-        return moved(views, turn, shift)
+    def __call__(self, views: SceneViews, channels: Sequence[str], rng: np.random.Generator) -> SceneViews:
+        rotation = Rotation.from_rotvec(rng.normal(0, self.rotation, 3)).as_matrix()
+        return moved(views, rotation, rng.normal(0, self.translation, 3))
 
 
 def moved(views: SceneViews, rotation: np.ndarray, translation: np.ndarray) -> SceneViews:
-    """Scene and cameras after p → rotation · p + translation."""
+    """Map scene and cameras by p → rotation · p + translation."""
     old, turn = views.triangles, rotation.T.astype(np.float32)
-    triangles = SceneTriangles(
-        positions=(old.positions.reshape(-1, 3) @ turn + translation.astype(np.float32)).reshape(-1, 3, 3),
-        normals=(old.normals.reshape(-1, 3) @ turn).reshape(-1, 3, 3),
-        material=old.material,
-        object_offsets=old.object_offsets,
-        object_names=old.object_names,
-    )
-    move = np.eye(4)
-    move[:3, :3], move[:3, 3] = rotation, translation
-    return replace(views, triangles=triangles, c2w=(move @ views.c2w).astype(np.float32))
+    positions = (old.positions.reshape(-1, 3) @ turn + translation.astype(np.float32)).reshape(-1, 3, 3)
+    triangles = replace(old, positions=positions, normals=(old.normals.reshape(-1, 3) @ turn).reshape(-1, 3, 3))
+    motion = np.eye(4)
+    motion[:3, :3], motion[:3, 3] = rotation, translation
+    return replace(views, triangles=triangles, c2w=(motion @ views.c2w).astype(np.float32))
 
 
-class ColourPermutation:
-    """Random permutation of the colour channels of materials, lights and images.
-
-    Not in the paper, whose data set is two thousand times quickstart's.
-    """
+class ColorPermutation:
+    """Random permutation of the color channels of materials, lights, G-buffers and images. Not in the paper."""
 
     def __call__(self, views: SceneViews, channels: Sequence[str], rng: np.random.Generator) -> SceneViews:
         order = rng.permutation(3)
         material = views.triangles.material.copy()
-        for colour in (DIFFUSE, SPECULAR, EMISSION):
-            material[:, colour] = material[:, colour][:, order]
+        for color in (DIFFUSE, SPECULAR, EMISSION):
+            material[:, color] = material[:, color][:, order]
         gbuffer, start = views.gbuffer.copy(), 0
         for name in channels:
             if name in COLOR_CHANNELS:

@@ -16,7 +16,7 @@ from rfpp.training.stopping import unheard_by_loaders
 class SceneLoader(DataLoader):
     """A DataLoader whose processes ignore stop signals until training has stopped.
 
-    Their errors arrive as they were raised: a line each, not a traceback as the message.
+    User errors of its processes keep their one-line message instead of a traceback.
     """
 
     def __iter__(self) -> Iterator[Any]:
@@ -28,7 +28,7 @@ class SceneLoader(DataLoader):
             _, in_worker, traceback = str(error).partition("Original Traceback")
             if not in_worker:
                 raise
-            last_line = traceback.strip().splitlines()[-1]  # "rfpp.errors.ShardError: what is wrong"
+            last_line = traceback.strip().splitlines()[-1]  # "rfpp.errors.ShardError: message"
             raise type(error)(last_line.partition(": ")[2]) from error
 
 
@@ -36,7 +36,7 @@ class SkippingCorrupt(Dataset):
     """A dataset that returns None for damaged scenes, with a warning per process and scene.
 
     Args:
-        scenes: raises ShardError, naming shard and scene, where it cannot read one.
+        scenes: Raises ShardError naming shard and scene for an unreadable scene.
     """
 
     def __init__(self, scenes: Dataset):
@@ -46,7 +46,7 @@ class SkippingCorrupt(Dataset):
         try:
             return self.scenes[draw]
         except ShardError as error:
-            warnings.warn(f"skipped: {error}", stacklevel=2)  # Python itself shows equal ones once
+            warnings.warn(f"skipped: {error}", stacklevel=2)  # Python shows equal warnings once
             return None
 
 

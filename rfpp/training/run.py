@@ -65,8 +65,8 @@ def start_summary(cfg: DictConfig, network: nn.Module, datamodule: SceneDataModu
     counts = parameter_counts(network)
     stages = ", ".join(f"{name} {count / 1e6:.2f}M" for name, count in counts.items() if name != "total")
     data = datamodule.manifest
-    images = datamodule.scenes_per_step * datamodule.views_per_scene
-    share = datamodule.scenes_per_step // trainer.world_size
+    images = datamodule.batching.scenes_per_step * datamodule.batching.views_per_scene
+    share = datamodule.batching.scenes_per_step // trainer.world_size
     at_once = share // trainer.accumulate_grad_batches
     logger = trainer.logger
     writes = f"{cfg.run_dir}, {logger.kept}" if isinstance(logger, RunLogger) else "nothing: a trial"
@@ -74,8 +74,8 @@ def start_summary(cfg: DictConfig, network: nn.Module, datamodule: SceneDataModu
         f"Network  {counts['total'] / 1e6:.1f}M parameters: {stages}\n"
         f"Data     {data.root}: {data.counts['scenes']} scenes, {data.counts['images']} images "
         f"of {cfg.data.resolution}² (manifest {data.hash[:12]})\n"
-        f"Steps    {cfg.steps} of {datamodule.scenes_per_step} scenes x {datamodule.views_per_scene} views "
-        f"= {images} images\n"
+        f"Steps    {cfg.steps} of {datamodule.batching.scenes_per_step} scenes x {datamodule.batching.views_per_scene} "
+        f"views = {images} images\n"
         f"Devices  {trainer.world_size} x {_device_name(trainer)}, {share} scenes each, {at_once} at a time, "
         f"{cfg.trainer.precision}\n"
         f"Writes   {writes}"

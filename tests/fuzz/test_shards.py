@@ -18,9 +18,11 @@ from stored_sample import stored_sample
 
 from rfpp.errors import ShardError
 from rfpp.shards.dataset import ShardSplit
-from rfpp.shards.index import SampleEntry, Shard, ShardIndex
+from rfpp.shards.index import ListedShard, SampleEntry, ShardIndex
 from rfpp.shards.manifest import MANIFEST_FILE, Manifest
 from rfpp.shards.sample import SceneSample, decode, encode
+from rfpp.shards.store import FolderStore
+from rfpp.shards.stored_shard import StoredShard
 from rfpp.shards.tar import pack
 
 pytestmark = pytest.mark.timeout(36_000)  # of thousands
@@ -83,10 +85,12 @@ def test_damage_that_the_hash_agrees_with_is_named(tmp_path_factory, content: by
     path = Path(tmp_path_factory.getbasetemp()) / "train-00000.tar"
     path.write_bytes(content)
     digest = sha256(content).hexdigest()
-    shard = Shard(path.name, len(content), digest, "fingerprint")
+    sizes = {"bytes": len(content), "samples": 1, "index_bytes": 0}
+    listed = ListedShard(file=path.name, sha256=digest, fingerprint="", index_sha256=digest, **sizes)
+    shard = StoredShard(listed, FolderStore(path.parent))
     entry = SampleEntry("train-000001", 0, len(content), digest, 1, 1, 0, 0, 0)
     descriptor = os.open(path, os.O_RDONLY)
-    refusal = refused(lambda: decode(entry.key, shard.members(path.parent, descriptor, entry)))
+    refusal = refused(lambda: decode(entry.key, shard.members(descriptor, entry)))
     os.close(descriptor)
     assert refusal is None or "train-000001" in refusal
 
@@ -139,7 +143,7 @@ def test_an_altered_manifest_is_named(finished, tmp_path_factory, data: st.DataO
 @given(data=st.data())
 def test_an_altered_index_is_named(finished, tmp_path_factory, data: st.DataObject) -> None:
     """Whose hash the manifest has, as a stranger's would be."""
-    listed = finished.shards("train")[0]
+    listed = finished.shards("train")[0].listed
     folder = tmp_path_factory.getbasetemp() / "fuzzed_index"
     folder.mkdir(exist_ok=True)
     if not (folder / listed.file).exists():
@@ -152,7 +156,7 @@ def test_an_altered_index_is_named(finished, tmp_path_factory, data: st.DataObje
 
     def first() -> SceneSample | ShardIndex:
         split = ShardSplit(folder, "train")
-        return split[0] if len(split) else split.manifest.index(split.manifest.shards("train")[0])
+        return split[0] if len(split) else split.manifest.shards("train")[0].index()
 
     refusal = refused(first, "indices")
     assert refusal is None or "train-00000" in refusal

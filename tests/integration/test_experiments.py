@@ -94,7 +94,7 @@ def test_fast_dev_run_on_a_cpu(experiment, composed, data, tmp_path):
 def test_large_scale_states_the_papers_settings(composed):
     cfg = composed("train", "experiment=large_scale", "run_dir=unused")
     assert cfg.steps == cfg.trainer.max_steps == cfg.schedule.total_steps == 500_000
-    assert cfg.datamodule.scenes_per_step * cfg.datamodule.views_per_scene == 32
+    assert cfg.datamodule.batching.scenes_per_step * cfg.datamodule.batching.views_per_scene == 32
     assert (cfg.trainer.devices, cfg.trainer.strategy, cfg.trainer.precision) == (8, "ddp", "bf16-mixed")
     assert cfg.model.transport.iterations == 3
     assert cfg.model.tokenizer.queries == 8
@@ -103,7 +103,7 @@ def test_large_scale_states_the_papers_settings(composed):
     parts = (*(cfg.model.decoder[name] for name in ("ray_position", "shading", "film")), cfg.model.exposure)
     names = [part._target_.rpartition(".")[2] for part in parts]
     assert names == ["CameraOrigin", "LogRadiance", "CentreSample", "UnitExposure"]
-    assert cfg.datamodule.colour_augmentation is None
+    assert cfg.datamodule.augmentation.color is None
     assert (cfg.loss.l1_weight, cfg.loss.lpips_weight, cfg.loss.consistency_weight) == (1.0, 0.05, 0.1)
     assert cfg.loss.lpips_images_per_step is None
     assert (cfg.data.resolution, cfg.data.views, cfg.reference.samples) == (256, 4, 4096)

@@ -1,4 +1,4 @@
-"""Copies of the finished data set, for tests that damage it."""
+"""A copy of the finished data set, for tests that damage it."""
 
 import shutil
 
@@ -7,5 +7,5 @@ import pytest
 
 @pytest.fixture
 def copied(finished, tmp_path):
-    """The folder of a copy."""
+    """Folder of the copy."""
     return shutil.copytree(finished.root, tmp_path / "small")

@@ -1,4 +1,4 @@
-"""Reading shards: by plain WebDataset, by index, in a reproducible order; damage is named."""
+"""Reading one or several data sets: by plain WebDataset and by index; damage is named."""
 
 import json
 import pickle
@@ -9,11 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 import webdataset
+from small_data import make
 from torch.utils.data import DataLoader
 
 from rfpp.errors import ShardError
 from rfpp.shards import dataset
 from rfpp.shards.dataset import ShardSplit
+from rfpp.shards.manifest import Manifest
 from rfpp.shards.sample import SCHEMA_VERSION, decode
 
 
@@ -36,7 +38,7 @@ def test_plain_webdataset_reads_the_same_samples(finished):
         np.testing.assert_array_equal(plain[ours.key(i)].gbuffers[1].depth, ours[i].gbuffers[1].depth)
 
 
-def test_the_documented_recipe_reads_the_same_images_without_this_project(finished):
+def test_the_documented_webdataset_example_reads_the_same_images(finished):
     page = Path(__file__).parents[2] / "docs" / "data.md"
     (recipe,) = re.findall(r"```python\n(.+?)```", page.read_text(encoding="utf-8"), re.DOTALL)
     assert "rfpp" not in recipe
@@ -93,7 +95,7 @@ def test_a_flipped_byte_names_shard_key_and_remedy(copied):
     split = ShardSplit(copied, "train")
     entry = split.manifest.samples("train")[3]
     flip_byte(copied / "train-00001.tar", entry.offset + entry.size // 2)
-    assert split[2].key == "train-000002"  # its neighbour is fine
+    assert split[2].key == "train-000002"  # the sample before it is intact
     with pytest.raises(ShardError, match=r"train-00001\.tar.*train-000003.*sha256.*delete train-00001\.tar and train"):
         split[3]
 
@@ -106,7 +108,7 @@ def test_a_truncated_shard_is_refused_at_once(copied):
     assert len(ShardSplit(copied, "test")) == 2
 
 
-def test_a_shard_that_is_cut_while_in_use_is_noticed(copied):
+def test_a_shard_truncated_while_in_use_is_noticed(copied):
     split = ShardSplit(copied, "train")
     split[0]
     path = copied / "train-00000.tar"
@@ -125,7 +127,7 @@ def test_a_missing_shard_is_refused_at_once(copied):
 def test_an_index_of_other_data_is_noticed(copied):
     path = copied / "train-00000.json"
     path.write_text(path.read_text().replace("train-000001", "train-000007"))
-    split = ShardSplit(copied, "train")  # indices are read when their shard is
+    split = ShardSplit(copied, "train")  # an index is read together with its shard
     assert split[2].key == "train-000002"
     with pytest.raises(ShardError, match=r"train-00000\.json: the index does not have the sha256 in the manifest"):
         split[0]
@@ -141,7 +143,7 @@ def test_a_missing_index_is_named(copied):
 @pytest.mark.parametrize("text", [f'{{"schema_version": {SCHEMA_VERSION}}}', "[]", "not json", '{"name": 3}'])
 def test_a_broken_manifest_is_named(copied, text):
     (copied / "manifest.json").write_text(text)
-    with pytest.raises(ShardError, match=r"manifest\.json.*not a data set manifest"):
+    with pytest.raises(ShardError, match=r"manifest\.json.*not a data set manifest \(.+\): delete it"):
         ShardSplit(copied, "train")
 
 
@@ -157,3 +159,34 @@ def test_no_data_and_no_such_split_say_what_to_do(finished, tmp_path):
         ShardSplit(tmp_path, "train")
     with pytest.raises(ShardError, match="no split 'holdout': choose from test, train, train_newviews"):
         ShardSplit(finished.root, "holdout")
+
+
+@pytest.fixture(scope="module")
+def roots(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("joined")
+    return [make(folder / f"of{n}", splits={"train": n, "validation": 1}).root for n in (2, 3)]
+
+
+def test_several_data_sets_are_concatenated(roots):
+    joined, parts = ShardSplit(roots, "train"), [ShardSplit(root, "train") for root in roots]
+    apart = [(part, index) for part in parts for index in range(len(part))]
+    assert len(joined) == sum(joined.sizes) == 5
+    for number, (part, index) in enumerate(apart):
+        assert joined.key(number) == part.key(index)
+        assert joined.triangles(number) == part.triangles(index)
+        np.testing.assert_array_equal(joined[number].images, part[index].images)
+    assert len(ShardSplit([roots[0], roots[0], roots[1]], "train")) == 7
+
+
+def test_joined_data_sets_have_their_own_name_and_hash(roots):
+    one, both, reversed_ = Manifest.load(roots[0]), Manifest.load(roots), Manifest.load(roots[::-1])
+    assert both.counts["scenes"] == 7 and both.name == f"{one.name}+{Manifest.load(roots[1]).name}"
+    assert len({one.hash, both.hash, reversed_.hash}) == 3
+
+
+def test_images_of_different_sizes_are_refused(roots, tmp_path):
+    large = make(tmp_path / "large", splits={"train": 1, "validation": 1}, resolution=32).root
+    with pytest.raises(ShardError, match=r"images differ in size \(.*: 32²\)"):
+        Manifest.load([roots[0], large])
+    with pytest.raises(ShardError, match=r"datamodule\.source\.root names no data set"):
+        Manifest.load([])

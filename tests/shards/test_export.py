@@ -1,4 +1,4 @@
-"""Samples as files of other formats: what comes back, what is lost, what is refused."""
+"""Export of samples: round trips, documented losses, and refused input."""
 
 from dataclasses import replace
 
@@ -12,11 +12,12 @@ from scene_families import scenes
 from stored_sample import stored_sample
 
 from rfpp.errors import SceneError, UserError
-from rfpp.raycast.first_hit import channel, object_ids
 from rfpp.imaging.exr import read_exr
 from rfpp.imaging.panels import tone_mapped
+from rfpp.raycast.first_hit import channel, object_ids
 from rfpp.scene.camera import camera_to_world
 from rfpp.scene.io.loading import load_scene
+from rfpp.scene.io.renderformer_h5 import load_images
 from rfpp.scene.packed import PackedScene, pack
 from rfpp.scene.triangles import DIFFUSE, SPECULAR, SceneTriangles
 from rfpp.shards.export import export, look_at
@@ -24,34 +25,34 @@ from rfpp.shards.export import export, look_at
 
 @pytest.fixture(scope="module")
 def sample():
-    """Of a scene with flat and smooth objects of procedural shapes."""
+    """Sample of a scene with flat and smooth objects of procedural shapes."""
     return stored_sample(pack(scenes("quickstart", 2)[1]))
 
 
 @pytest.fixture(scope="module")
 def painted():
-    """Of a scene with a box of a colour for each triangle."""
+    """Sample of a scene with a box whose triangles have different colours."""
     pose = pose_of((0.3, -1.5, 0.9))
     return stored_sample(PackedScene("still life", still_life(), pose[None], np.array([40.0], np.float32)))
 
 
 def as_set(triangles: SceneTriangles) -> list:
-    """Positions and materials of the triangles in an order that does not depend on theirs."""
+    """Return positions and materials of the triangles in an order independent of theirs."""
     rows = np.concatenate([triangles.positions.reshape(-1, 9), triangles.material], axis=1)
     return rows[np.lexsort(rows.T)].tolist()
 
 
-def test_json_gives_back_triangles_materials_normals_and_cameras(sample, tmp_path):
+def test_json_restores_triangles_materials_normals_and_cameras(sample, tmp_path):
     scene = pack(load_scene(export(sample, "renderformer", tmp_path)[0]))
     assert scene.name == sample.key
     for name in ("positions", "material", "object_offsets", "object_names"):
         np.testing.assert_array_equal(getattr(scene.triangles, name), getattr(sample.triangles, name))
-    np.testing.assert_allclose(scene.triangles.normals, sample.triangles.normals, atol=5e-4)  # half when stored
+    np.testing.assert_allclose(scene.triangles.normals, sample.triangles.normals, atol=5e-4)  # stored in half precision
     np.testing.assert_allclose(scene.c2w, sample.c2w, atol=1e-6)
     np.testing.assert_array_equal(scene.fov, sample.fov)
 
 
-def test_both_kinds_of_shading_are_told_apart(sample, tmp_path):
+def test_flat_and_smooth_shading_are_distinguished(sample, tmp_path):
     scene = load_scene(export(sample, "renderformer", tmp_path)[0])
     curved = [item for item in scene.objects if item.name.startswith("object_")]
     assert {item.material.smooth_shading for item in curved} == {False, True}
@@ -63,7 +64,7 @@ def test_an_object_of_many_materials_becomes_many_objects_of_the_same_triangles(
     assert as_set(scene.triangles) == as_set(painted.triangles)
 
 
-def test_triangles_without_area_are_left_out(painted, tmp_path):
+def test_triangles_without_area_are_omitted(painted, tmp_path):
     positions = painted.triangles.positions.copy()
     positions[4, 2] = positions[4, 1]
     flattened = replace(painted, triangles=replace(painted.triangles, positions=positions))
@@ -71,7 +72,7 @@ def test_triangles_without_area_are_left_out(painted, tmp_path):
     assert len(scene.triangles) == len(positions) - 1
 
 
-def test_a_material_that_no_scene_may_have_is_named(painted, tmp_path):
+def test_an_invalid_material_is_named(painted, tmp_path):
     material = painted.triangles.material.copy()
     material[0:2, 0] = 1.5
     wrong = replace(painted, triangles=replace(painted.triangles, material=material))
@@ -79,20 +80,22 @@ def test_a_material_that_no_scene_may_have_is_named(painted, tmp_path):
         export(wrong, "renderformer", tmp_path)
 
 
-def test_a_pose_becomes_a_camera_and_a_pose_again():
+def test_poses_round_trip_through_cameras():
     pose = pose_of((0.3, -1.5, 0.9), (0.1, 0.0, 0.2), (0.4, 0.1, 1.0))
     camera = look_at(pose, 41.0)
     np.testing.assert_allclose(camera_to_world(camera), pose, atol=1e-6)
     assert camera.fov == 41
 
 
-def test_h5_gives_back_triangles_objects_and_cameras(sample, tmp_path):
-    scene = load_scene(export(sample, "h5", tmp_path)[0])
+def test_h5_restores_triangles_objects_cameras_and_images(sample, tmp_path):
+    path = export(sample, "h5", tmp_path)[0]
+    scene = load_scene(path)
     for name in ("positions", "normals", "object_offsets"):
         np.testing.assert_array_equal(getattr(scene.triangles, name), getattr(sample.triangles, name))
     np.testing.assert_array_equal(scene.triangles.material, sample.triangles.material.astype(np.float16))
     np.testing.assert_array_equal(scene.c2w, sample.c2w)
     np.testing.assert_array_equal(scene.fov, sample.fov)
+    np.testing.assert_array_equal(load_images(path), sample.images)
 
 
 def test_h5_without_our_objects_still_holds_the_same_triangles(sample, tmp_path):
@@ -101,17 +104,6 @@ def test_h5_without_our_objects_still_holds_the_same_triangles(sample, tmp_path)
         del file["object_index"]
     stored = replace(sample.triangles, material=sample.triangles.material.astype(np.float16).astype(np.float32))
     assert as_set(load_scene(path).triangles) == as_set(stored)
-
-
-def test_h5_holds_images_and_gbuffers_of_its_own_triangles(sample, tmp_path):
-    with h5py.File(export(sample, "h5", tmp_path)[0]) as file:
-        np.testing.assert_array_equal(file["img"], sample.images)
-        for view, gbuffer in enumerate(sample.gbuffers):
-            np.testing.assert_array_equal(file["gbuffer/triangle"][view], gbuffer.triangle)
-            np.testing.assert_array_equal(file["gbuffer/depth"][view], gbuffer.depth)
-            np.testing.assert_array_equal(file["gbuffer/normal"][view], gbuffer.normal)
-            np.testing.assert_array_equal(file["gbuffer/direct_diffuse"][view], gbuffer.light.diffuse)
-            np.testing.assert_array_equal(file["gbuffer/reflected_light"][view], gbuffer.reflection.light)
 
 
 def test_exr_shows_the_image_and_adds_the_gbuffers(sample, tmp_path):
@@ -131,7 +123,7 @@ def test_exr_shows_the_image_and_adds_the_gbuffers(sample, tmp_path):
         )
 
 
-def test_images_stand_beside_the_json(sample, tmp_path):
+def test_images_are_written_beside_the_json(sample, tmp_path):
     paths = export(sample, "renderformer", tmp_path)
     assert all(path.is_file() for path in paths)
     np.testing.assert_array_equal(read_exr(tmp_path / "train-000001.view1.exr")["RGB"], sample.images[1])
@@ -154,6 +146,6 @@ def test_equal_samples_are_equal_files(sample, tmp_path):
     assert content[0] == content[1]
 
 
-def test_an_unknown_format_is_answered_with_those_there_are(sample, tmp_path):
+def test_an_unknown_format_lists_the_known(sample, tmp_path):
     with pytest.raises(UserError, match="'gltf' does not exist: choose from renderformer, h5, exr"):
         export(sample, "gltf", tmp_path)

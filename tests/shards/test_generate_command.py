@@ -33,7 +33,7 @@ def test_every_experiment_composes_to_a_family_and_valid_data_settings(experimen
     assert instantiate(cfg.reference).denoise
 
 
-#: A scene of quickstart's at toy size.
+#: Generates one small scene.
 COMMAND = (
     sys.executable, "launch/generate.py", "experiment=quickstart", "data.resolution=16", "reference.samples=1",
     "farm.workers=1", "data.splits={train: 1, train_newviews: 0, validation: 0, test: 0}",
@@ -49,7 +49,7 @@ def test_generate_then_nothing_to_do_then_refused(tmp_path):
     root = f"data.root={tmp_path}"
     made = run(root)
     assert made.returncode == 0, made.stderr
-    assert "Made 1 scenes" in made.stdout
+    assert "Generated 1 scenes" in made.stdout
     assert "images/s" in made.stdout
     assert Manifest.load(tmp_path).counts["images"] == 4
     shown = run(root, "action=show", "sample=train-000000", f"output={tmp_path}/pictures")
@@ -64,17 +64,17 @@ def test_generate_then_nothing_to_do_then_refused(tmp_path):
 
 
 def workers(command: psutil.Process) -> list[psutil.Process]:
-    """Those that import what they need, too."""
+    """Return worker processes, including those that are still importing."""
     found = []
     for child in command.children():
-        with contextlib.suppress(psutil.NoSuchProcess):  # git, which has ended meanwhile
+        with contextlib.suppress(psutil.NoSuchProcess):  # git, which has exited meanwhile
             found += [child] * ("spawn_main" in " ".join(child.cmdline()))
     return found
 
 
 @requires_blender
 @pytest.mark.parametrize("moment", ["workers", "scenes"])
-def test_control_c_ends_all_processes_with_one_line_and_the_command_goes_on(tmp_path, moment):
+def test_control_c_ends_all_processes_with_one_line_and_the_command_resumes(tmp_path, moment):
     overrides = ("data.splits={train: 3, train_newviews: 0, validation: 0, test: 0}", f"data.root={tmp_path}/data")
     pipes = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE, "text": True, "start_new_session": True}
     process = subprocess.Popen([*COMMAND, *overrides], cwd=REPOSITORY, **pipes)
@@ -85,14 +85,14 @@ def test_control_c_ends_all_processes_with_one_line_and_the_command_goes_on(tmp_
     children = command.children(recursive=True)
     os.killpg(process.pid, signal.SIGINT)
     _, said = process.communicate(timeout=120)
-    assert said == "interrupted: run the same command again to go on, finished scenes are kept\n"
-    assert process.returncode == -signal.SIGINT  # what a shell calls 130
+    assert said == "interrupted: run the same command again to resume; finished scenes are kept\n"
+    assert process.returncode == -signal.SIGINT  # exit status 130 in a shell
     assert psutil.wait_procs(children, timeout=60)[1] == []
     if moment == "scenes":
         kept = [*tmp_path.rglob("*.sample")]
         again = run(*overrides)
         assert again.returncode == 0, again.stderr
-        assert f"Made {3 - len(kept)} scenes" in again.stdout
+        assert f"Generated {3 - len(kept)} scenes" in again.stdout
 
 
 @requires_blender
@@ -109,7 +109,7 @@ def test_a_folder_of_meshes_is_prepared_and_rendered(tmp_path):
     assert Manifest.load(tmp_path / "data").counts["scenes"] == 1
 
 
-def test_the_object_library_of_procedural_shapes_needs_no_preparation():
+def test_procedural_objects_need_no_preparation():
     refused = run("action=prepare")
     assert refused.returncode == 1
     assert "need no preparation" in refused.stderr
@@ -120,5 +120,5 @@ def test_a_preview_needs_no_blender(tmp_path):
     assert Image.open(tmp_path / "quickstart_preview.png").size[0] > 400
 
 
-def test_an_unknown_action_names_the_known():
+def test_an_unknown_action_lists_the_known():
     assert "action=mend does not exist: choose from make, prepare, merge" in run("action=mend").stderr

@@ -1,4 +1,4 @@
-"""Making data sets: splits, rejections, resumption after anything, refusal to mix."""
+"""Generation of data sets: splits, rejected views, resumption, and refusal to mix settings."""
 
 import errno
 import json
@@ -24,7 +24,6 @@ from small_data import (
 )
 
 from rfpp.errors import MissingDependencyError, ShardError, UserError
-from rfpp.shards import recipe as recipe_file
 from rfpp.shards import writer
 from rfpp.shards.dataset import ShardSplit
 from rfpp.shards.manifest import Manifest
@@ -56,7 +55,7 @@ def test_new_views_show_training_scenes_to_other_cameras(finished):
         assert not any(np.allclose(a, b) for a in seen.c2w for b in again.c2w)
 
 
-def test_test_scenes_are_none_of_the_training_scenes(finished):
+def test_test_scenes_differ_from_training_scenes(finished):
     colours = {tuple(s.triangles.material[2]) for split in ("train", "test") for s in scenes(finished, split)}
     assert len(colours) == 7
 
@@ -76,7 +75,7 @@ def test_the_same_command_again_does_nothing(copied, finished):
 
 
 @pytest.mark.parametrize(("workers", "count"), [(0, 2), (1, 3), (3, 3)])  # the end of a shard; the middle of one
-def test_resumption_gives_what_an_uninterrupted_run_gives(tmp_path, finished, workers, count):
+def test_a_resumed_run_equals_an_uninterrupted_one(tmp_path, finished, workers, count):
     with pytest.raises(KeyboardInterrupt):
         make(tmp_path, progress=InterruptAfter(count), workers=workers)
     assert not (tmp_path / "manifest.json").exists()
@@ -90,7 +89,7 @@ def test_resumption_gives_what_an_uninterrupted_run_gives(tmp_path, finished, wo
     assert not (tmp_path / "unfinished").exists()
 
 
-def test_a_half_written_sample_is_made_again(tmp_path, finished):
+def test_a_truncated_sample_is_regenerated(tmp_path, finished):
     with pytest.raises(KeyboardInterrupt):
         make(tmp_path, progress=InterruptAfter(1))
     [waiting] = tmp_path.rglob("*.sample")
@@ -98,7 +97,7 @@ def test_a_half_written_sample_is_made_again(tmp_path, finished):
     assert make(tmp_path).hash == finished.hash
 
 
-def test_samples_that_wait_are_not_mixed_with_other_settings(tmp_path):
+def test_waiting_samples_are_not_mixed_with_other_settings(tmp_path):
     with pytest.raises(KeyboardInterrupt):
         make(tmp_path, progress=InterruptAfter(1))
     (tmp_path / "settings.json").unlink()
@@ -123,14 +122,14 @@ def test_kill_and_rerun_gives_identical_hashes(tmp_path, finished):
     assert make(root).hash == finished.hash
 
 
-def test_a_deleted_shard_is_made_again(copied, finished):
+def test_a_deleted_shard_is_regenerated(copied, finished):
     (copied / "train-00001.tar").unlink()
     (copied / "train-00001.json").unlink()
     assert make(copied).hash == finished.hash
     assert hashes(copied) == hashes(finished.root)
 
 
-def test_a_larger_split_keeps_what_is_there(copied, finished):
+def test_a_split_can_grow(copied, finished):
     grown = make(copied, splits={"train": 6, "train_newviews": 3, "test": 2})
     assert [e.sha256 for e in grown.samples("train")][:5] == [e.sha256 for e in finished.samples("train")]
     assert len(ShardSplit(copied, "train")) == 6
@@ -165,7 +164,7 @@ def test_failing_scenes_are_listed_and_the_rest_is_kept(tmp_path, finished):
     assert not (root / "unfinished").exists()
 
 
-def test_views_that_see_too_little_are_drawn_anew_and_counted(tmp_path):
+def test_empty_views_are_redrawn_and_counted(tmp_path):
     manifest = make(tmp_path, BoxFamily(looks_away=0.5))
     assert manifest.counts["empty_views"] > 0
     assert manifest.counts["scene_redraws"] == manifest.counts["unlit_views"] == 0
@@ -178,7 +177,7 @@ def test_views_that_see_too_little_are_drawn_anew_and_counted(tmp_path):
             }
 
 
-def test_dark_scenes_are_drawn_anew_before_they_are_rendered_and_new_views_follow(tmp_path):
+def test_dark_scenes_are_redrawn_before_rendering_and_new_views_follow(tmp_path):
     manifest = make(tmp_path, BoxFamily(night=0.5), acceptance=replace(ACCEPTANCE, camera_attempts=2))
     train, newviews = scenes(manifest, "train"), scenes(manifest, "train_newviews")
     drawn = manifest.samples("train")
@@ -190,13 +189,13 @@ def test_dark_scenes_are_drawn_anew_before_they_are_rendered_and_new_views_follo
 
 
 @pytest.mark.parametrize("family", [BoxFamily(looks_away=1.0), BoxFamily(night=1.0)])
-def test_hopeless_scenes_end_with_one_line(tmp_path, family):
+def test_scenes_without_acceptable_views_fail_with_one_line(tmp_path, family):
     few = replace(ACCEPTANCE, camera_attempts=2, scene_attempts=2)
     with pytest.raises(ShardError, match=r"train-000000.*no acceptable views.*(8|0) too little light.*min_coverage"):
         make(tmp_path, family, acceptance=few, splits={"train": 1})
 
 
-def test_radiance_that_does_not_fit_is_a_failure_that_names_the_scene(tmp_path):
+def test_radiance_beyond_half_precision_names_the_scene(tmp_path):
     with pytest.raises(ShardError, match=r"train-000000.*beyond half precision"):
         make(tmp_path, render=Constant(1e5), splits={"train": 1})
 
@@ -211,18 +210,13 @@ def test_other_settings_are_refused_with_key_folder_and_remedy(copied):
         make(copied, seed=8)
 
 
-def test_a_data_set_goes_on_after_its_code_has_moved(tmp_path, monkeypatch):
-    """Settings used to name where classes lie; they say what they are."""
-    with monkeypatch.context() as before:
-        before.setattr(recipe_file, "_as_begun", lambda root, settings: settings)
-        first = make(tmp_path, groups={"scene": {"_target_": "rfpp.scene.sampler.Boxes"}}, splits={"train": 2})
+def test_a_data_set_is_resumed_after_its_code_has_moved(tmp_path):
+    make(tmp_path, groups={"scene": {"_target_": "rfpp.scene.sampler.Boxes"}}, splits={"train": 2})
     [shard] = tmp_path.glob("train*.tar")
-    made = shard.stat().st_mtime_ns
-
+    written = shard.stat().st_mtime_ns
     moved = {"scene": {"_target_": "rfpp.scene.sampling.family.Boxes"}}
-    second = make(tmp_path, groups=moved, splits={"train": 4})
-    assert shard.stat().st_mtime_ns == made
-    assert second.counts["scenes"] == 4 and first.counts["scenes"] == 2
+    assert make(tmp_path, groups=moved, splits={"train": 4}).counts["scenes"] == 4
+    assert shard.stat().st_mtime_ns == written
     with pytest.raises(ShardError, match=r"scene\._target_ \(Boxes there, Spheres now\)"):
         make(tmp_path, groups={"scene": {"_target_": "rfpp.scene.sampling.family.Spheres"}}, splits={"train": 4})
 
@@ -279,6 +273,6 @@ def test_bad_acceptance_is_named(change, message):
         replace(ACCEPTANCE, **change)
 
 
-def test_the_number_of_views_must_be_the_familys(tmp_path):
+def test_the_number_of_views_must_match_the_family(tmp_path):
     with pytest.raises(UserError, match=r"draws 3 cameras, data\.views is 2"):
         make(tmp_path, BoxFamily(views=3))

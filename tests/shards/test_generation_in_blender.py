@@ -1,4 +1,4 @@
-"""Making data sets with the real renderer: what comes out, and what survives when its processes do not."""
+"""Generation of data sets with Blender, also when its processes are killed."""
 
 import os
 import signal
@@ -18,7 +18,7 @@ from rfpp.shards.manifest import Manifest
 
 @dataclass(frozen=True)
 class Sabotaged:
-    """Cycles, but the worker of the first scene is killed in the middle of it, and that of the second stops dead."""
+    """Cycles, but the worker of the first scene is killed while rendering, and that of the second is stopped."""
 
     folder: Path
 

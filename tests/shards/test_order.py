@@ -1,11 +1,11 @@
-"""The order of samples: once per epoch, mixed across shards, a function of seed and epoch, resumable anywhere."""
+"""Training order: every sample once per epoch, shuffled across shards, resumable at any position."""
 
 from itertools import islice
 
 import numpy as np
 import pytest
 
-from rfpp.shards.order import ShuffledOrder
+from rfpp.shards.order import ShuffledOrder, truncated
 
 SIZES = [4, 7, 1, 5, 6, 3]
 TOTAL = sum(SIZES)
@@ -21,7 +21,7 @@ def shards_of(samples: list[int]) -> list[int]:
 
 
 @pytest.mark.parametrize("window", [1, 2, 4, 100])
-def test_every_sample_comes_once_per_epoch_in_another_order(window):
+def test_every_epoch_is_another_permutation(window):
     first, second, third = epochs(ShuffledOrder(SIZES, 0, window), 3)
     assert sorted(first) == sorted(second) == sorted(third) == list(range(TOTAL))
     assert first != second != third != first
@@ -33,7 +33,7 @@ def test_order_is_a_function_of_seed():
 
 
 @pytest.mark.parametrize("window", [1, 2, 3])
-def test_shards_are_mixed_within_a_window_and_left_for_good_after_it(window):
+def test_shards_are_mixed_within_a_window_only(window):
     for epoch in epochs(ShuffledOrder(SIZES, 1, window), 8):
         shards = shards_of(epoch)
         visits = {shard: (shards.index(shard), TOTAL - 1 - shards[::-1].index(shard)) for shard in range(len(SIZES))}
@@ -43,7 +43,7 @@ def test_shards_are_mixed_within_a_window_and_left_for_good_after_it(window):
         assert max(open_at) == window
 
 
-def test_shards_trade_windows_between_epochs():
+def test_windows_change_between_epochs():
     neighbours = [frozenset(shards_of(epoch)[:5]) for epoch in epochs(ShuffledOrder(SIZES, 1, 2), 20)]
     assert len(set(neighbours)) > 5
 
@@ -55,7 +55,7 @@ def test_any_position_continues_the_uninterrupted_order(start):
     assert list(islice(ShuffledOrder(SIZES, 5, 2).draws(start), 20)) == whole[start : start + 20]
 
 
-def test_a_start_deep_in_the_run_shuffles_one_window_only(monkeypatch):
+def test_resuming_late_shuffles_only_one_window(monkeypatch):
     order = ShuffledOrder([100] * 5000, seed=0, window=16)
     shuffled = []
     rng = ShuffledOrder._rng
@@ -69,3 +69,8 @@ def test_a_start_deep_in_the_run_shuffles_one_window_only(monkeypatch):
 def test_nothing_to_shuffle_is_refused(sizes, window):
     with pytest.raises(ValueError, match="cannot be shuffled"):
         ShuffledOrder(sizes, 0, window)
+
+
+@pytest.mark.parametrize(("samples", "sizes"), [(0, []), (3, [3]), (4, [4]), (12, [4, 7, 1]), (13, [4, 7, 1, 1])])
+def test_the_first_samples_lie_in_truncated_shards(samples, sizes):
+    assert truncated(SIZES, samples) == sizes

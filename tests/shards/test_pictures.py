@@ -1,4 +1,4 @@
-"""Pictures of samples and scenes: they show what they say."""
+"""Preview pictures of samples and scenes."""
 
 import numpy as np
 import pytest
@@ -6,9 +6,9 @@ from known_scenes import LIGHT, look_at, material, pack, sphere, square, still_l
 from small_data import BoxFamily
 from stored_sample import stored_sample
 
-from rfpp.raycast.direct_light import direct_radiance
 from rfpp.imaging import panels
 from rfpp.imaging.panels import tone_mapped
+from rfpp.raycast.direct_light import direct_radiance
 from rfpp.scene.packed import PackedScene
 from rfpp.shards import pictures
 from rfpp.shards.pictures import contact_sheet, sample_panel, with_ambient
@@ -16,7 +16,7 @@ from rfpp.shards.pictures import contact_sheet, sample_panel, with_ambient
 
 @pytest.fixture
 def sheets(monkeypatch) -> dict:
-    """What is put on sheets: columns, captions and title."""
+    """Captured contents of sheets: columns, captions and title."""
     seen = {}
 
     def panel(columns, captions, title):
@@ -48,7 +48,7 @@ def test_a_panel_shows_every_view_of_a_sample(sheets):
             assert column[name][gbuffer.hit].any()
 
 
-def test_a_panel_is_a_picture_of_all_of_them():
+def test_a_panel_is_one_large_picture():
     sample = stored_sample()
     sheet = sample_panel(sample)
     assert sheet.dtype == np.uint8 and sheet.shape[1] > 8 * 160 and sheet.shape[0] > 2 * 160
@@ -65,7 +65,7 @@ def test_each_object_has_one_colour_of_its_own(sheets):
     assert len({tuple(colour[0]) for colour in colours.values()}) == len(colours) > 1
 
 
-def test_edges_are_dark_where_triangles_meet_and_nowhere_else(sheets):
+def test_only_edges_between_triangles_are_dark(sheets):
     from_above = look_at((0, 0, 2), up=(0, 1, 0))
     scene = PackedScene("square", pack((square(4.0), material(diffuse=0.5))), from_above[None], np.array([30.0], "f4"))
     sample_panel(stored_sample(scene))
@@ -103,7 +103,7 @@ def test_a_contact_sheet_shows_shadows_and_counts(sheets):
     assert 0 < shadowed < lit / 2
 
 
-def test_scenes_of_a_family_are_shown_through_their_first_camera(sheets, monkeypatch):
+def test_contact_sheets_use_the_first_camera(sheets, monkeypatch):
     monkeypatch.setattr(pictures, "_LIGHT_SAMPLES", 1)
     scene = BoxFamily().sample(np.random.default_rng(1), np.random.default_rng(2), held_out=False)
     contact_sheet([scene, scene.model_copy(update={"cameras": scene.cameras[::-1]})], 16)
@@ -111,7 +111,7 @@ def test_scenes_of_a_family_are_shown_through_their_first_camera(sheets, monkeyp
     assert first.any() and second.any() and not np.array_equal(first, second)
 
 
-def test_a_scene_without_light_is_shown_all_the_same(sheets):
+def test_an_unlit_scene_is_shown(sheets):
     dark = still_life()
     dark.material[:, 7:] = 0
     scene = PackedScene("dark", dark, look_at((0.3, -1.5, 0.9))[None], np.array([40.0], np.float32))

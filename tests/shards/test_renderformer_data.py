@@ -1,4 +1,4 @@
-"""RenderFormer's H5 files as training data: the same scenes, exactly once, and every bad file by name."""
+"""Import of RenderFormer's H5 files: every scene exactly once, and bad files are named."""
 
 import pickle
 import shutil
@@ -42,13 +42,13 @@ def exported(samples, tmp_path_factory) -> Path:
     for sample in samples:
         path = export(sample, "h5", folder)[0]
         with h5py.File(path, "r+") as file:
-            del file["object_index"], file["gbuffer"]
+            del file["object_index"]
     return folder
 
 
 @pytest.fixture
 def folder(exported, tmp_path) -> Path:
-    """Five scenes as H5, in the layout that RenderFormer's tools write; free to be spoilt."""
+    """A copy of five H5 scenes in the layout of RenderFormer's tools."""
     return Path(shutil.copytree(exported, tmp_path / "h5"))
 
 
@@ -82,7 +82,7 @@ def test_a_file_becomes_the_sample_it_was_exported_from(samples, folder, tmp_pat
         np.testing.assert_array_equal(sample.c2w, original.c2w)
         for mine, theirs in zip(sample.gbuffers, original.gbuffers, strict=True):
             np.testing.assert_array_equal(mine.depth, theirs.depth)
-            np.testing.assert_allclose(mine.normal, theirs.normal, atol=5e-4)  # made from normals in half precision
+            np.testing.assert_allclose(mine.normal, theirs.normal, atol=5e-4)  # computed from normals in half precision
             seen = sample.triangles.positions[mine.triangle[mine.hit]]
             np.testing.assert_array_equal(seen, original.triangles.positions[theirs.triangle[theirs.hit]])
             assert mine.light.diffuse.mean() == pytest.approx(theirs.light.diffuse.mean(), rel=0.1)
@@ -98,7 +98,7 @@ def test_a_data_set_of_files_is_read_like_any_other(folder, tmp_path):
     assert manifest.settings["data"]["resolution"] == 8
 
 
-def test_the_same_files_give_the_same_bytes_wherever_they_lie(folder, tmp_path):
+def test_equal_files_give_equal_bytes_in_any_folder(folder, tmp_path):
     first = make(folder, tmp_path / "a")
     again = make(folder.rename(tmp_path / "elsewhere"), tmp_path / "b")
     assert first.hash == again.hash
@@ -116,21 +116,21 @@ def test_a_sample_depends_on_its_file_alone(folder, tmp_path):
                 np.testing.assert_array_equal(mine.light.glossy, theirs.light.glossy)
 
 
-def test_files_are_shared_out_without_overlap_by_stated_shares(folder):
+def test_files_are_split_by_shares_without_overlap(folder):
     for validation, test, counts in ((0.0, 0.0, [5, 0, 0]), (0.2, 0.4, [2, 1, 2]), (0.01, 0.0, [4, 1, 0])):
         splits = Import(folder, validation, test).splits
         assert [len(splits[split]) for split in ("train", "validation", "test")] == counts
         assert sorted(path for part in splits.values() for path in part) == sorted(folder.glob("*.h5"))
 
 
-def test_files_changed_since_are_not_mixed_with_what_is_there(folder, tmp_path):
+def test_changed_files_are_not_mixed_with_existing_data(folder, tmp_path):
     make(folder, tmp_path / "data")
     save_h5(scene(7), folder / "scene7.h5", np.zeros((2, 8, 8, 3), np.float32))
     with pytest.raises(ShardError, match="holds data made with other settings"):
         make(folder, tmp_path / "data")
 
 
-def test_the_job_is_small_enough_to_go_with_every_task(folder, tmp_path):
+def test_the_job_is_small(folder, tmp_path):
     assert len(pickle.dumps(recipe(folder, tmp_path / "data").job)) < 1000
 
 
@@ -143,7 +143,7 @@ def test_the_job_is_small_enough_to_go_with_every_task(folder, tmp_path):
         (lambda file: file.__delitem__("vn"), "the data set 'vn' is missing"),
     ],
 )
-def test_a_file_that_cannot_be_used_is_named(folder, tmp_path, spoil, message):
+def test_an_unusable_file_is_named(folder, tmp_path, spoil, message):
     bad = Import(folder, 0, 0.3).splits["train"][1]
     with h5py.File(bad, "r+") as file:
         spoil(file)
@@ -152,7 +152,7 @@ def test_a_file_that_cannot_be_used_is_named(folder, tmp_path, spoil, message):
     assert str(bad) in str(caught.value)
 
 
-def test_the_others_are_imported_all_the_same(folder, tmp_path):
+def test_other_files_are_imported_despite_a_failure(folder, tmp_path):
     bad = Import(folder, 0, 0.3).splits["train"][1]
     with h5py.File(bad, "r+") as file:
         del file["vn"]
@@ -184,7 +184,7 @@ def test_images_that_are_not_square_are_refused(tmp_path):
         (lambda folder: save_h5(scene(0), folder / "a.h5"), (-0.1, 0), "share for validation is -0.1"),
     ],
 )
-def test_what_cannot_be_a_data_set_is_said_at_once(tmp_path, prepare, shares, message):
+def test_invalid_folders_and_shares_are_named(tmp_path, prepare, shares, message):
     prepare(tmp_path / "h5")
     with pytest.raises(UserError, match=message):
         Import(tmp_path / "h5", *shares)

@@ -1,4 +1,4 @@
-"""Samples: what goes in comes out, in the stated precision; equal samples are equal bytes."""
+"""Samples round-trip in the stated precision; equal samples give equal bytes."""
 
 from dataclasses import replace
 
@@ -102,14 +102,14 @@ def test_missing_damaged_and_foreign_members_are_named(sample):
           "triangle": np.full((9, 9), -1, np.int32)}, "the layers of a view differ in size"),
     ],
 )  # fmt: skip
-def test_what_does_not_fit_together_is_refused_however_sound_its_bytes_are(sample, part, message):
+def test_inconsistent_arrays_are_refused(sample, part, message):
     first = sample.gbuffers[0]
     wrong = replace(sample, gbuffers=(replace(first, **part), *sample.gbuffers[1:]))
     with pytest.raises(ShardError, match=f"train-000001: a member is damaged .{message}"):
         decode(sample.key, encode(wrong))
 
 
-def test_only_what_is_asked_for_is_decoded(sample):
+def test_only_requested_views_and_channels_are_decoded(sample):
     members = encode(sample)
     whole = decode(sample.key, members)
     second = decode(sample.key, members, lambda views: [views - 1], channels=("albedo",))

@@ -1,4 +1,4 @@
-"""Slices of a data set: made apart and joined; how far a data set is."""
+"""Slices of a data set, and its status."""
 
 import shutil
 from pathlib import Path
@@ -17,7 +17,7 @@ def make_slice(root: Path, index: int, count: int) -> None:
     generation.make(recipe(root), InProcess(), lambda done, total: None, Slice(index, count))
 
 
-def test_slices_made_apart_and_merged_equal_one_run(tmp_path, finished):
+def test_merged_slices_equal_one_run(tmp_path, finished):
     for index in (2, 0, 1):
         make_slice(tmp_path / f"machine{index}", index, 3)
     here = tmp_path / "machine0"
@@ -32,7 +32,7 @@ def test_slices_made_apart_and_merged_equal_one_run(tmp_path, finished):
     assert hashes(here) == hashes(finished.root)
 
 
-def test_two_processes_do_not_make_the_same_slice(tmp_path):
+def test_a_slice_is_locked(tmp_path):
     with FileLock(tmp_path / ".slice-1-of-3.lock"):
         with pytest.raises(UserError, match="another process is making slice 1 of 3"):
             make_slice(tmp_path, 1, 3)
@@ -47,7 +47,7 @@ def test_a_slice_that_does_not_exist_is_refused(index, count):
         Slice(index, count)
 
 
-def test_status_counts_what_waits_and_what_is_missing(tmp_path):
+def test_status_counts_waiting_and_missing_samples(tmp_path):
     with pytest.raises(KeyboardInterrupt):
         make(tmp_path, progress=InterruptAfter(3))
     found = status(recipe(tmp_path))

@@ -1,4 +1,4 @@
-"""Data sets behind a URL: fetched once, kept within bounds, and every way it can fail says so."""
+"""Data sets behind a URL: each file is fetched once, the cache is bounded, and failures are named."""
 
 import hashlib
 import http.server
@@ -24,7 +24,7 @@ from rfpp.shards.tar import unpack
 
 
 class Handler(http.server.SimpleHTTPRequestHandler):
-    """Serves a folder, and writes down what is asked of it; the first answers for names in `cut` end half-way."""
+    """Serves a folder and records requests; the first answers for names in `cut` are truncated."""
 
     def do_GET(self):
         name = self.path.rpartition("/")[2]
@@ -66,11 +66,11 @@ def impatient(monkeypatch):
 
 
 def cached(cache: ShardCache, pattern: str) -> list[str]:
-    """Without the hash in front."""
+    """Return the names of cached files without their hash."""
     return sorted(path.name.partition("-")[2] for path in cache.folder.glob(pattern))
 
 
-def test_a_remote_data_set_reads_like_a_folder_and_each_file_is_fetched_once(server, finished, cache):
+def test_a_remote_data_set_equals_its_folder_and_each_file_is_fetched_once(server, finished, cache):
     local, remote = ShardSplit(finished.root, "train"), ShardSplit(server.url, "train", cache)
     assert remote.manifest.hash == finished.hash
     assert server.requests == ["manifest.json"]
@@ -82,7 +82,7 @@ def test_a_remote_data_set_reads_like_a_folder_and_each_file_is_fetched_once(ser
     assert sorted(files) == ["train-00000.json", "train-00000.tar", "train-00002.json", "train-00002.tar"]
 
 
-def test_any_file_system_of_fsspec_serves(finished, cache):
+def test_any_fsspec_file_system_works(finished, cache):
     memory = fsspec.filesystem("memory")
     memory.put(str(finished.root), "/small", recursive=True)
     assert ShardSplit("memory://small", "test", cache)[1].key == "test-000001"
@@ -108,28 +108,28 @@ def test_several_processes_fetch_a_shard_once(server, finished, cache):
     assert sorted(tars) == [shard.file for shard in finished.shards("train")]
 
 
-def test_the_cache_keeps_what_was_used_last_and_harms_no_reader(server, finished, tmp_path):
-    sizes = [shard.bytes + shard.index_bytes for shard in finished.shards("train")]
+def test_the_cache_evicts_least_recently_used_files_without_disturbing_readers(server, finished, tmp_path):
+    sizes = [shard.listed.bytes + shard.listed.index_bytes for shard in finished.shards("train")]
     cache = ShardCache(tmp_path / "cache", gigabytes=(sizes[0] + sizes[1] + 100) / 1e9)
     split = ShardSplit(server.url, "train", cache)
     first = split[0].images
     split[2]
-    for name in cached(cache, "*00000*"):  # used again: now shard 1 is the oldest
+    for name in cached(cache, "*00000*"):  # used again: shard 1 is the oldest now
         os.utime(next(cache.folder.glob(f"*-{name}")))
     split[4]
     assert cached(cache, "*.tar") == ["train-00000.tar", "train-00002.tar"]
     assert sum(path.stat().st_size for path in cache.folder.glob("[!.]*")) <= cache.gigabytes * 1e9
     shutil.rmtree(cache.folder)
     np.testing.assert_array_equal(split[0].images, first)
-    assert split[3].key == "train-000003"  # open files go on, though they are removed
+    assert split[3].key == "train-000003"  # open files remain readable after their removal
 
 
 def test_a_file_larger_than_the_cache_is_refused(server, tmp_path):
-    with pytest.raises(UserError, match=r"does not fit: raise datamodule\.cache\.gigabytes"):
+    with pytest.raises(UserError, match=r"does not fit: raise datamodule\.source\.cache\.gigabytes"):
         ShardSplit(server.url, "train", ShardCache(tmp_path, gigabytes=1e-7))[0]
 
 
-def test_a_half_written_copy_is_fetched_again(server, cache):
+def test_a_truncated_copy_is_fetched_again(server, cache):
     ShardSplit(server.url, "train", cache)[0]
     path = next(cache.folder.glob("*.tar"))
     os.truncate(path, 1000)
@@ -137,7 +137,7 @@ def test_a_half_written_copy_is_fetched_again(server, cache):
     assert server.requests.count("train-00000.tar") == 2
 
 
-def test_a_truncated_download_is_tried_again_then_named(server, cache):
+def test_a_truncated_download_is_retried_then_named(server, cache):
     server.cut["train-00000.tar"] = 2
     assert ShardSplit(server.url, "train", cache)[0].key == "train-000000"
     server.cut["train-00001.tar"] = 3
@@ -164,7 +164,7 @@ def test_a_missing_shard_or_index_is_named(copied, cache):
     assert split[4].key == "train-000004"
 
 
-def test_damage_names_the_url_and_where_the_copy_lies(copied, cache):
+def test_damage_names_the_url_and_the_cached_copy(copied, cache):
     content = bytearray((copied / "train-00000.tar").read_bytes())
     content[5000] ^= 1
     (copied / "train-00000.tar").write_bytes(content)
@@ -173,7 +173,7 @@ def test_damage_names_the_url_and_where_the_copy_lies(copied, cache):
         ShardSplit(f"file://{copied}", "train", cache)[0]
 
 
-def test_no_data_no_server_no_library_no_cache_say_so(server, cache, finished):
+def test_missing_data_server_library_or_cache_is_named(server, cache, finished):
     with pytest.raises(ShardError, match=r"http.*nowhere/manifest\.json: there is no finished data set here"):
         ShardSplit(f"{server.url}/nowhere", "train", cache)
     with pytest.raises(UserError, match=r"http://127\.0\.0\.1:9/manifest\.json: cannot be fetched after 3 attempts"):
@@ -182,7 +182,7 @@ def test_no_data_no_server_no_library_no_cache_say_so(server, cache, finished):
         ShardSplit("s3://bucket", "train", cache)
     with pytest.raises(UserError, match="Protocol not known: nonsense"):
         ShardSplit("nonsense://x", "train", cache)
-    with pytest.raises(UserError, match=r"needs a cache: set datamodule\.cache"):
+    with pytest.raises(UserError, match=r"needs a cache: set datamodule\.source\.cache"):
         ShardSplit(server.url, "train")
 
 
@@ -193,7 +193,7 @@ def test_a_cache_that_cannot_be_written_is_named(server, tmp_path):
 
 
 def listed(folder: Path, change) -> None:
-    """The manifest of a data set in `folder` with its first training shard changed."""
+    """Change the first training shard in the manifest of a data set."""
     content = json.loads((folder / MANIFEST_FILE).read_bytes())
     change(content["splits"]["train"][0])
     (folder / MANIFEST_FILE).write_text(json.dumps(content))
@@ -207,7 +207,7 @@ def listed(folder: Path, change) -> None:
     ],
     ids=str,
 )  # fmt: skip
-def test_a_manifest_names_nothing_outside_of_its_folder(finished, tmp_path, change):
+def test_a_manifest_cannot_name_files_outside_its_folder(finished, tmp_path, change):
     root = Path(shutil.copytree(finished.root, tmp_path / "data"))
     victim = tmp_path / "victim.txt"
     victim.write_text("mine")
@@ -218,7 +218,7 @@ def test_a_manifest_names_nothing_outside_of_its_folder(finished, tmp_path, chan
 
 
 @pytest.mark.parametrize("key", ["/tmp/victim", "../victim", "", "a/b"])
-def test_an_index_names_nothing_outside_either_even_if_its_hash_agrees(finished, tmp_path, key):
+def test_an_index_cannot_name_files_outside_its_folder(finished, tmp_path, key):
     root = Path(shutil.copytree(finished.root, tmp_path / "data"))
     file = root / "train-00000.json"
     index = json.loads(file.read_bytes())
@@ -230,8 +230,7 @@ def test_an_index_names_nothing_outside_either_even_if_its_hash_agrees(finished,
         ShardSplit(root, "train")[0]
 
 
-def test_members_are_files():
-    """A link or a folder in a tar is damage like any other."""
+def test_a_link_in_a_tar_is_refused():
     entry = tarfile.TarInfo("train-000001.meta.json")
     entry.type, entry.linkname = tarfile.SYMTYPE, "/etc/passwd"
     with pytest.raises(tarfile.TarError, match="not a plain file"):

@@ -4,9 +4,9 @@ import numpy as np
 from random_scenes import random_views
 
 from rfpp.batch import RaggedBatch
-from rfpp.raycast.first_hit import CHANNELS
 from rfpp.losses.rendering import RenderingLoss
 from rfpp.model.renderformer_pp import RenderFormerPP
+from rfpp.raycast.first_hit import CHANNELS
 
 #: FlashAttention wants heads of a multiple of eight.
 HEADS = ("size.width=64", "size.heads=1")

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from rfpp.raycast import ggx
 from rfpp.radiosity.cell_grid import CellGrid
 from rfpp.radiosity.cell_table import DIRECTIONS, FLAT, SIDES
+from rfpp.raycast import ggx
 from rfpp.raycast.lit_scene import CLEARANCE
 from rfpp.raycast.raycast import RayCaster
 from rfpp.raycast.surface import Surface

@@ -22,7 +22,7 @@ _PROCESSES = multiprocessing.get_context("forkserver")
 _PROCESSES.set_forkserver_preload(["launch.train", "rfpp.training.datamodule", "torch._dynamo"])
 SETTINGS = (
     "experiment=quickstart", "debug=cpu", *SMALLEST, "size.width=54", "data.resolution=8", "loss.lpips_weight=0.0",
-    "datamodule.scenes_per_step=4", "datamodule.views_per_scene=1", "schedule.warmup_steps=2",
+    "datamodule.batching.scenes_per_step=4", "datamodule.batching.views_per_scene=1", "schedule.warmup_steps=2",
     "callbacks.checkpoints.every_n_steps=1",
 )  # fmt: skip
 #: What a checkpoint holds that later steps depend on.

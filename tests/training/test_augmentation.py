@@ -1,4 +1,4 @@
-"""Augmentation changes scenes and images together: G-buffers, images and materials still belong to each other."""
+"""Augmentation changes scenes, G-buffers and images consistently."""
 
 import numpy as np
 import pytest
@@ -8,7 +8,7 @@ from rfpp.raycast.first_hit import first_hit, stack_channels
 from rfpp.scene.triangles import DIFFUSE, EMISSION, SPECULAR
 from rfpp.shards.dataset import ShardSplit
 from rfpp.shards.views import AllViews
-from rfpp.training.augmentation import ColourPermutation, RigidAugmentation, moved
+from rfpp.training.augmentation import ColorPermutation, RigidMotion, moved
 
 CHANNELS = ("albedo", "normal", "position")
 
@@ -22,7 +22,7 @@ def split(tmp_path_factory):
 def test_moving_scene_and_camera_leaves_gbuffers_and_images(split):
     views = AllViews(split, CHANNELS)[0]
     rng = np.random.default_rng(0)
-    turned = RigidAugmentation(rotation=1.0, translation=0.25)(views, rng)
+    turned = RigidMotion(rotation=1.0, translation=0.25)(views, CHANNELS, rng)
     assert not np.allclose(turned.triangles.positions, views.triangles.positions, atol=0.1)
     np.testing.assert_array_equal(turned.image, views.image)
     for v in range(2):
@@ -35,7 +35,7 @@ def test_moving_scene_and_camera_leaves_gbuffers_and_images(split):
 
 def test_a_move_is_rigid_and_right_handed(split):
     views = AllViews(split, CHANNELS)[0]
-    turned = RigidAugmentation(rotation=2.0, translation=1.0)(views, np.random.default_rng(1))
+    turned = RigidMotion(rotation=2.0, translation=1.0)(views, CHANNELS, np.random.default_rng(1))
     before, after = (np.linalg.norm(np.diff(v.triangles.positions, axis=1), axis=-1) for v in (views, turned))
     np.testing.assert_allclose(after, before, rtol=1e-4, atol=1e-6)
     np.testing.assert_allclose(np.linalg.det(turned.c2w[:, :3, :3]), 1, rtol=1e-5)
@@ -43,9 +43,9 @@ def test_a_move_is_rigid_and_right_handed(split):
 
 def test_augmentation_has_the_documented_spread(split):
     views = AllViews(split, CHANNELS)[0]
-    augmentation = RigidAugmentation(rotation=0.0, translation=0.25)
+    motion = RigidMotion(rotation=0.0, translation=0.25)
     rng = np.random.default_rng(2)
-    shifts = np.array([augmentation(views, rng).c2w[0, :3, 3] - views.c2w[0, :3, 3] for _ in range(300)])
+    shifts = np.array([motion(views, CHANNELS, rng).c2w[0, :3, 3] - views.c2w[0, :3, 3] for _ in range(300)])
     np.testing.assert_allclose(shifts.std(axis=0), 0.25, rtol=0.15)
     np.testing.assert_allclose(shifts.mean(axis=0), 0, atol=0.05)
 
@@ -57,11 +57,11 @@ def test_moved_rotates_normals_with_the_triangles(split):
     np.testing.assert_allclose(turned.triangles.normals[..., 1], views.triangles.normals[..., 0], atol=1e-6)
 
 
-def test_colour_channels_trade_places_everywhere_at_once(split):
+def test_color_channels_trade_places_everywhere_at_once(split):
     views = AllViews(split, CHANNELS)[0]
     rng = np.random.default_rng(0)
     for _ in range(8):
-        swapped = ColourPermutation()(views, CHANNELS, rng)
+        swapped = ColorPermutation()(views, CHANNELS, rng)
         order = [int(np.argmax(np.isclose(swapped.image[0, c], views.image[0]).all((1, 2)))) for c in range(3)]
         assert sorted(order) == [0, 1, 2]
         for columns in (DIFFUSE, SPECULAR, EMISSION):

@@ -93,13 +93,13 @@ def test_one_global_batch_is_one_step_however_it_is_divided(how, folder, data, t
     if how == "two ranks":
         other = two_ranks
     elif how == "accumulated":
-        other = train(folder / "parts", data, *RUN, *PLAIN_DESCENT, "datamodule.scenes_per_device=2")
+        other = train(folder / "parts", data, *RUN, *PLAIN_DESCENT, "datamodule.batching.scenes_per_device=2")
     else:
         run_dir = folder / "joined"
         shutil.copytree(alone / "checkpoints", run_dir / "checkpoints", symlinks=True)
         step_file(run_dir / "checkpoints", STEPS).unlink()
         step_file(run_dir / "checkpoints", STEPS - 1).unlink()
-        other = train(run_dir, data, *RUN, *PLAIN_DESCENT, "datamodule.scenes_per_device=1", ranks=2)
+        other = train(run_dir, data, *RUN, *PLAIN_DESCENT, "datamodule.batching.scenes_per_device=1", ranks=2)
         assert len(other["random_states"]) == 2
     assert other["global_step"] == STEPS
     first = torch.load(step_file(alone / "checkpoints", STEPS - 2), weights_only=True)
@@ -152,7 +152,12 @@ def test_ranks_agree_on_checkpoints_by_time(folder, data):
 
 def test_a_loss_that_is_not_finite_stops_training_and_leaves_its_batch(folder, data):
     run_dir = folder / "exploding"
-    settings = (*PLAIN_DESCENT, "optimizer.lr=1e30", "schedule.warmup_steps=1", "datamodule.scenes_per_device=2")
+    settings = (
+        *PLAIN_DESCENT,
+        "optimizer.lr=1e30",
+        "schedule.warmup_steps=1",
+        "datamodule.batching.scenes_per_device=2",
+    )
     assert finish(start(run_dir, data, *RUN, *settings)) == [1]
     errors = [line for line in output(run_dir).splitlines() if line.startswith("error: ")]
     (path, *rest) = sorted((run_dir / "non_finite").iterdir())

@@ -1,4 +1,4 @@
-"""Real loaders: the same batches for any number of ranks and workers, from any step on; damage stops or is counted."""
+"""Real loaders: equal batches for any number of ranks and workers, exact resumption, and handling of damage."""
 
 import json
 import os
@@ -22,10 +22,12 @@ from rfpp.scene.mesh import Mesh
 from rfpp.scene.spec import SceneObject, Transform
 from rfpp.shards.cache import ShardCache
 from rfpp.shards.manifest import Manifest
-from rfpp.training.augmentation import RigidAugmentation
+from rfpp.training.augmentation import RigidMotion
+from rfpp.training.batching import Batching
 from rfpp.training.callbacks.skipped import SkippedScenes
 from rfpp.training.datamodule import SceneDataModule
-from rfpp.training.dealing import BySize, InOrder
+from rfpp.training.partition import BalancedBySize, Contiguous
+from rfpp.training.source import DataSource
 
 SCENES, PER_STEP, STEPS = 7, 4, 5  # two epochs and six scenes
 
@@ -37,15 +39,22 @@ def root(tmp_path_factory):
 
 
 def datamodule(root, rank: int = 0, ranks: int = 1, accumulate: int = 1, steps: int = STEPS, **change):
-    """A data module whose trainer is one of `ranks`."""
-    settings = {
-        "root": root, "cache": ShardCache("unused", 1.0), "gbuffer_channels": ("albedo",), "scenes_per_step": PER_STEP,
-        "scenes_per_device": None, "dealing": InOrder(),
-        "views_per_scene": 1, "training_scenes": None, "validation_scenes": 1, "shuffle_shards": 2,
-        "skip_corrupt": False, "rigid_augmentation": RigidAugmentation(1.0, 0.25), "colour_augmentation": None,
-        "workers": 0, "seed": 5,
+    """Return the data module of one of `ranks`; `change` replaces settings of any of its parts."""
+    source = {
+        "root": root, "cache": ShardCache("unused", 1.0), "training_scenes": None, "validation_scenes": 1,
+        "skip_corrupt": False,
     }  # fmt: skip
-    data = SceneDataModule(**{**settings, **change})
+    batching = {
+        "scenes_per_step": PER_STEP, "scenes_per_device": None, "views_per_scene": 1, "partition": Contiguous(),
+        "shuffle_shards": 2,
+    }  # fmt: skip
+    augmentation = {"rigid": RigidMotion(1.0, 0.25), "color": None}
+    others = {"gbuffer_channels": ("albedo",), "augmentation": augmentation, "workers": 0, "seed": 5}
+    assert change.keys() <= {*source, *batching, *others}
+    source, batching, others = (
+        {name: change.get(name, value) for name, value in part.items()} for part in (source, batching, others)
+    )
+    data = SceneDataModule(DataSource(**source), Batching(**batching), **others)
     data.trainer = SimpleNamespace(
         world_size=ranks, global_rank=rank, max_steps=steps, accumulate_grad_batches=accumulate, global_step=0,
         strategy=SimpleNamespace(root_device=torch.device("cpu")),
@@ -54,7 +63,7 @@ def datamodule(root, rank: int = 0, ranks: int = 1, accumulate: int = 1, steps: 
 
 
 def global_batches(root, ranks: int = 1, **how) -> list[list[tuple[str, bytes]]]:
-    """The scenes of each global batch: their keys, and what is seen of them."""
+    """Return the scenes of each global batch: keys, poses and images."""
     parts = [list(datamodule(root, rank, ranks, **how).train_dataloader()) for rank in range(ranks)]
     return [
         [
@@ -85,7 +94,7 @@ def test_batches_are_the_same_for_any_number_of_ranks_and_workers(root, uninterr
 
 
 @pytest.mark.parametrize("step", range(STEPS + 1))
-def test_resuming_at_any_step_gives_the_rest(root, uninterrupted, step):
+def test_resuming_at_any_step_yields_the_remaining_batches(root, uninterrupted, step):
     before = datamodule(root)
     before.trainer.global_step = step
     state = json.loads(json.dumps(before.state_dict()))
@@ -103,7 +112,7 @@ def test_resuming_at_any_step_gives_the_rest(root, uninterrupted, step):
     ("per_step", "per_device", "devices", "batches"),
     [(16, None, 8, 1), (16, 2, 8, 1), (16, 2, 1, 8), (16, 2, 2, 4), (12, 5, 1, 3), (7, 3, 1, 7), (16, 2, 16, 1)],
 )
-def test_a_device_accumulates_what_it_cannot_hold(root, per_step, per_device, devices, batches):
+def test_a_device_accumulates_beyond_its_limit(root, per_step, per_device, devices, batches):
     data = datamodule(root, scenes_per_step=per_step, scenes_per_device=per_device)
     assert data.accumulation(devices) == batches
 
@@ -113,10 +122,10 @@ def test_a_device_accumulates_what_it_cannot_hold(root, per_step, per_device, de
     [
         ({"scenes_per_step": 16}, r"scenes_per_step=16 does not divide among 3 devices .*choose a multiple"),
         ({"scenes_per_step": 0}, "scenes_per_step=0 does not divide"),
-        ({"scenes_per_step": 3, "scenes_per_device": 0}, "scenes_per_device=0: a device must hold a scene"),
+        ({"scenes_per_step": 3, "scenes_per_device": 0}, "scenes_per_device=0: use 1 or more"),
     ],
 )
-def test_arithmetic_that_cannot_be_is_refused(root, change, named):
+def test_indivisible_batches_are_refused(root, change, named):
     with pytest.raises(UserError, match=named):
         datamodule(root, **change).accumulation(3)
 
@@ -138,9 +147,9 @@ def test_accumulation_divides_the_same_batches(root, uninterrupted):
     ("change", "named"),
     [
         ({"seed": 6}, "seed=5, this one 6"),
-        ({"scenes_per_step": 2}, "datamodule.scenes_per_step=4, this one 2"),
-        ({"shuffle_shards": 1}, "datamodule.shuffle_shards=2, this one 1"),
-        ({"training_scenes": 3}, "datamodule.training_scenes=None, this one 3"),
+        ({"scenes_per_step": 2}, "datamodule.batching.scenes_per_step=4, this one 2"),
+        ({"shuffle_shards": 1}, "datamodule.batching.shuffle_shards=2, this one 1"),
+        ({"training_scenes": 3}, "datamodule.source.training_scenes=None, this one 3"),
     ],
 )
 def test_a_run_with_another_order_is_not_resumed(root, change, named):
@@ -154,12 +163,12 @@ def test_only_the_first_scenes_are_trained_on(root):
 
 
 def damaged(root: Path, target: Path, *keys: str) -> Path:
-    """A copy in which a byte of each of these scenes is flipped."""
+    """Copy a data set and flip a byte of each of these scenes."""
     shutil.copytree(root, target)
     manifest = Manifest.load(target)
     for shard in manifest.shards("train"):
         content = bytearray((target / shard.file).read_bytes())
-        for entry in manifest.index(shard).samples:
+        for entry in shard.index().samples:
             if entry.key in keys:
                 content[entry.offset + entry.size // 2] ^= 1
         (target / shard.file).write_bytes(content)
@@ -176,7 +185,7 @@ def test_training_stops_at_damage_with_one_line_that_names_it(root, tmp_path, wo
     assert str(stop.value).startswith(str(bad))
 
 
-def test_damaged_scenes_are_left_out_and_nothing_takes_their_place(root, tmp_path, uninterrupted):
+def test_damaged_scenes_are_skipped_without_replacement(root, tmp_path, uninterrupted):
     bad = damaged(root, tmp_path / "bad", "train-000003", "train-000006")
     with pytest.warns(UserWarning, match="skipped: .*train-0000.*sha256") as warned:
         batches = global_batches(bad, skip_corrupt=True)
@@ -185,7 +194,7 @@ def test_damaged_scenes_are_left_out_and_nothing_takes_their_place(root, tmp_pat
     assert len({str(w.message) for w in warned}) == 2
 
 
-def test_a_missing_and_a_truncated_shard_are_left_out_too(root, tmp_path, uninterrupted):
+def test_missing_and_truncated_shards_are_skipped(root, tmp_path, uninterrupted):
     bad = Path(shutil.copytree(root, tmp_path / "bad"))
     (bad / "train-00000.tar").unlink()
     (bad / "train-00001.tar").write_bytes((bad / "train-00001.tar").read_bytes()[:-1])
@@ -198,7 +207,7 @@ def test_a_missing_and_a_truncated_shard_are_left_out_too(root, tmp_path, uninte
 
 
 @pytest.mark.parametrize("name", ["SIGUSR1", "SIGTERM", "SIGINT"])
-def test_loader_processes_outlive_what_asks_training_to_stop(root, uninterrupted, name):
+def test_loader_processes_survive_stop_signals(root, uninterrupted, name):
     """Slurm signals every process of a job; the ranks need their data until they have agreed and saved."""
     before = set(active_children())
     loader = iter(datamodule(root, workers=1).train_dataloader())
@@ -211,7 +220,7 @@ def test_loader_processes_outlive_what_asks_training_to_stop(root, uninterrupted
 
 @dataclass(frozen=True)
 class Grown(BoxFamily):
-    """Boxes of which every second scene has another thousand triangles."""
+    """Boxes; every second scene has another thousand triangles."""
 
     def sample(self, scene_rng, camera_rng, *, held_out):
         scene = super().sample(scene_rng, camera_rng, held_out=held_out)
@@ -230,35 +239,35 @@ def skewed(tmp_path_factory):
     return make(folder, Grown(), splits={"train": 12, "validation": 1}, scenes_per_shard=4).root
 
 
-def triangles_of_ranks(root, dealing, **how) -> np.ndarray:
+def triangles_of_ranks(root, partition, **how) -> np.ndarray:
     """[ranks, steps]"""
-    loaders = [datamodule(root, rank, 2, dealing=dealing, **how).train_dataloader() for rank in (0, 1)]
+    loaders = [datamodule(root, rank, 2, partition=partition, **how).train_dataloader() for rank in (0, 1)]
     return np.array([[len(batch.positions) for batch in loader] for loader in loaders])
 
 
-def test_sizes_in_the_index_balance_what_ranks_have_to_compute(skewed):
+def test_sizes_in_the_index_balance_the_load_of_ranks(skewed):
     how = {"shuffle_shards": 3, "steps": 12, "seed": 1}
-    in_order, by_size = (triangles_of_ranks(skewed, dealing, **how) for dealing in (InOrder(), BySize()))
-    assert (in_order.sum(0) == by_size.sum(0)).all()
+    contiguous, balanced = (triangles_of_ranks(skewed, p, **how) for p in (Contiguous(), BalancedBySize()))
+    assert (contiguous.sum(0) == balanced.sum(0)).all()
     small, large = 7, 7 + 1280
-    scenes_over = (by_size.sum(0) - 4 * small) // (large - small) % 2  # an odd number of large ones cannot be halved
-    assert (np.abs(np.diff(by_size, axis=0))[0] == scenes_over * (large - small)).all()
-    assert np.abs(np.diff(in_order, axis=0)).sum() > np.abs(np.diff(by_size, axis=0)).sum()
+    scenes_over = (balanced.sum(0) - 4 * small) // (large - small) % 2  # an odd number of large ones cannot be halved
+    assert (np.abs(np.diff(balanced, axis=0))[0] == scenes_over * (large - small)).all()
+    assert np.abs(np.diff(contiguous, axis=0)).sum() > np.abs(np.diff(balanced, axis=0)).sum()
 
 
-def test_without_its_index_a_shard_is_left_out_and_the_others_are_dealt(skewed, tmp_path):
+def test_a_shard_without_index_is_skipped(skewed, tmp_path):
     bad = Path(shutil.copytree(skewed, tmp_path / "bad"))
     (bad / "train-00000.json").unlink()
     with pytest.raises(ShardError, match=r"train-00000\.json: the index cannot be read"):
-        triangles_of_ranks(bad, BySize())
-    how = {"dealing": BySize(), "steps": 3, "shuffle_shards": 3, "skip_corrupt": True}
+        triangles_of_ranks(bad, BalancedBySize())
+    how = {"partition": BalancedBySize(), "steps": 3, "shuffle_shards": 3, "skip_corrupt": True}
     loaders = [datamodule(bad, rank, 2, **how).train_dataloader() for rank in (0, 1)]
     with pytest.warns(UserWarning, match="skipped"):
         keys = [key for loader in loaders for batch in loader for key in batch.keys]
     assert sorted(keys) == [f"train-{i:06d}" for i in range(4, 12)]
 
 
-def test_a_batch_with_nothing_left_is_an_error(root, tmp_path):
+def test_a_batch_without_readable_scenes_is_an_error(root, tmp_path):
     bad = damaged(root, tmp_path / "bad", *(f"train-00000{i}" for i in range(SCENES)))
     nothing_left = pytest.raises(ShardError, match="none of a batch's 4 scenes can be read")
     with nothing_left, pytest.warns(UserWarning, match="skipped"):
@@ -266,7 +275,7 @@ def test_a_batch_with_nothing_left_is_an_error(root, tmp_path):
 
 
 class Learner(L.LightningModule):
-    """Learns one number, and remembers what it saw."""
+    """Learns one number, and records the keys of its batches."""
 
     def __init__(self):
         super().__init__()
@@ -282,7 +291,7 @@ class Learner(L.LightningModule):
 
 
 class SaveAt(L.Callback):
-    """Saves a checkpoint after so many steps."""
+    """Saves a checkpoint after a number of steps."""
 
     def __init__(self, step: int, path: Path):
         self.step, self.path = step, path
@@ -293,7 +302,7 @@ class SaveAt(L.Callback):
 
 
 def fit(root, steps: int, *callbacks: L.Callback, checkpoint: Path | None = None, accumulate: int = 1, **change):
-    """Train with Lightning; returns the module and what it logged last."""
+    """Train with Lightning; return the module and its last metrics."""
     module, data = Learner(), datamodule(root, **change)
     data.trainer = None
     trainer = L.Trainer(
@@ -307,8 +316,8 @@ def fit(root, steps: int, *callbacks: L.Callback, checkpoint: Path | None = None
 
 @pytest.mark.filterwarnings("ignore::UserWarning")
 @pytest.mark.parametrize("accumulate", [1, 2])
-@pytest.mark.parametrize("planned", [2, 4])  # the run ended there; it was stopped in the middle
-def test_lightning_goes_on_where_the_checkpoint_was_taken(root, tmp_path, accumulate, planned):
+@pytest.mark.parametrize("planned", [2, 4])  # the run ended there, or was interrupted
+def test_lightning_resumes_at_the_checkpoint(root, tmp_path, accumulate, planned):
     whole, _ = fit(root, 4, accumulate=accumulate)
     fit(root, planned, SaveAt(2, tmp_path / "2.ckpt"), accumulate=accumulate)
     resumed, _ = fit(root, 4, checkpoint=tmp_path / "2.ckpt", accumulate=accumulate)

@@ -18,6 +18,6 @@ class SkippedScenes(L.Callback):
         self, trainer: L.Trainer, module: L.LightningModule, outputs: STEP_OUTPUT, batch: RaggedBatch, batch_index: int
     ) -> None:
         data = trainer.datamodule
-        if data.skip_corrupt:
+        if data.source.skip_corrupt:
             self._skipped += data.scenes_per_batch - len(batch.keys)
             module.log("data/skipped", float(self._skipped), sync_dist=True, reduce_fx="sum", batch_size=1)

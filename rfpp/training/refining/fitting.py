@@ -30,7 +30,7 @@ def rendered(
         renderer: of the network to be refined.
         scenes, progress: see `RenderedViews`.
     """
-    stored = ShardSplit(cfg["data"]["root"], split, instantiate(cfg["datamodule"]["cache"]))
+    stored = ShardSplit(cfg["data"]["root"], split, instantiate(cfg["datamodule"]["source"]["cache"]))
     plan = cfg["refining"]
     samplings = [(samples, points) for samples, points in plan["samplings"]]
     return RenderedViews(renderer, stored, samplings, cfg["seed"], Path(plan["rendered"]), progress, scenes)

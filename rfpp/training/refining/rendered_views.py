@@ -16,11 +16,11 @@ from torch.utils.data import Dataset
 
 from rfpp.errors import UserError
 from rfpp.files import write_atomically
-from rfpp.raycast.first_hit import CHANNELS
 from rfpp.inference.gbuffers import GBufferSource
 from rfpp.inference.renderer import Renderer
-from rfpp.radiosity.sample_means import means
 from rfpp.radiosity.refinement import Refinement
+from rfpp.radiosity.sample_means import means
+from rfpp.raycast.first_hit import CHANNELS
 from rfpp.scene.packed import PackedScene
 from rfpp.shards.dataset import ShardSplit
 

@@ -13,7 +13,6 @@ from lightning.pytorch.loggers.logger import Logger
 from lightning.pytorch.utilities import rank_zero_only
 
 from rfpp.files import write_atomically
-from rfpp.shards.joined import JoinedManifest
 from rfpp.shards.manifest import Manifest
 from rfpp.training.tracking.description import code_changes, flattened, machine_tags
 from rfpp.training.tracking.journal import JOURNAL, Journal
@@ -104,9 +103,7 @@ class RunLogger(Logger):
         self._journal.append("model", name=name, path=self._inside(checkpoint))
 
     @rank_zero_only
-    def describe(
-        self, config: dict[str, Any], config_file: Path, manifest: Manifest | JoinedManifest, tags: Mapping[str, str]
-    ) -> None:
+    def describe(self, config: dict[str, Any], config_file: Path, manifest: Manifest, tags: Mapping[str, str]) -> None:
         """Log what runs: config (as parameters and as a file), data set, code, machine, how often it was resumed."""
         self.log_hyperparams(config)
         self.log_tags({**tags, **machine_tags(), "resumed": str(self._journal.starts - 1)})
