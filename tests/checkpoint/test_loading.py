@@ -2,7 +2,6 @@
 
 import os
 from copy import deepcopy
-from importlib import import_module
 
 import pytest
 import torch
@@ -90,7 +89,9 @@ def test_a_config_may_only_name_parts_of_the_model(target):
         build({"_target_": target, "command": "true"}, "evil.ckpt")
 
 
-@pytest.mark.parametrize("target", ["rfpp.model.dpt.nn.Linear", "rfpp.model.layers.block.F", "rfpp.model.layers.attention.attend"])
+@pytest.mark.parametrize(
+    "target", ["rfpp.model.dpt.nn.Linear", "rfpp.model.layers.block.F", "rfpp.model.layers.attention.attend"]
+)
 def test_a_config_may_not_reach_through_a_module(target):
     with pytest.raises(CheckpointError, match="cannot build"):
         build({"_target_": target}, "evil.ckpt")

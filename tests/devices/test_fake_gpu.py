@@ -11,8 +11,8 @@ from network_variants import PAPER, VARIANTS, batch_for, loss
 from rfpp.batch import RaggedBatch
 from rfpp.inference import object_encoder
 from rfpp.losses.transport_consistency import TransportConsistency
-from rfpp.model.layers import attention
 from rfpp.model.exposure import MeanIrradianceExposure
+from rfpp.model.layers import attention
 from rfpp.model.layers.ray_windows import ShiftedWindows
 from rfpp.model.view_decoder import SeenTokens
 from rfpp.segments import on_device

@@ -8,11 +8,11 @@ import pytest
 from known_scenes import look_at, still_life
 
 from rfpp.errors import UserError
-from rfpp.raycast.first_hit import CHANNELS, channel, first_hit, stack_channels
 from rfpp.imaging.exr import read_exr
 from rfpp.imaging.tone_maps import SRGB
 from rfpp.inference.layers import checked_layers, exr_layers
 from rfpp.inference.stills import write_still
+from rfpp.raycast.first_hit import CHANNELS, channel, first_hit, stack_channels
 
 NAMES = ("normal", "depth", "albedo", "roughness", "position")
 

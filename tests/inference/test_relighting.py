@@ -6,8 +6,8 @@ from edited_scenes import scene
 from networks import checkpoint_info
 
 from rfpp import Renderer
-from rfpp.radiosity.radiosity import Radiosity
 from rfpp.inference.relighting import solve_lights, with_factors
+from rfpp.radiosity.radiosity import Radiosity
 from rfpp.scene.packed import pack
 
 EVERYWHERE = np.ones((2, 8, 8), bool)

@@ -87,7 +87,9 @@ def test_the_refinement_reduces_the_error(renderer):
     errors = {
         is_refined: np.mean(
             [
-                difference(next(renderer.views(view_of(name), 64, is_refined=is_refined)), picture(f"{name}_0_reference"))
+                difference(
+                    next(renderer.views(view_of(name), 64, is_refined=is_refined)), picture(f"{name}_0_reference")
+                )
                 for name in NAMES
             ]
         )

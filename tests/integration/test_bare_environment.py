@@ -92,7 +92,8 @@ def test_it_is_evaluated_without_tracking(trained, bare):
         extras=("evaluation",),
     )  # fmt: skip
     assert "names no MLflow run" in said
-    assert json.loads((folder / "evaluation" / "evaluation.json").read_text())["cost"]["seconds"] > 0
+    splits = json.loads((folder / "evaluation" / "evaluation.json").read_text())["splits"]
+    assert splits["test"]["model"]["log_l1"]["mean"] > 0
 
 
 def test_a_picture_is_rendered_by_what_was_trained_and_by_what_comes_with_the_project(trained, bare, tmp_path):

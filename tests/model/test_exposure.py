@@ -9,8 +9,8 @@ from networks import network
 from random_scenes import random_views
 
 from rfpp.batch import RaggedBatch, SceneViews
-from rfpp.raycast.first_hit import DIRECT_CHANNELS
 from rfpp.model.exposure import MeanIrradianceExposure, UnitExposure
+from rfpp.raycast.first_hit import DIRECT_CHANNELS
 from rfpp.scene.triangles import EMISSION, SceneTriangles
 from rfpp.training.augmentation import moved
 

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 from edited_scenes import changed, lamp, scene
-from networks import checkpoint_info, network
+from networks import checkpoint_info
 
 from rfpp import Renderer
 from rfpp.imaging.tone_maps import SRGB

@@ -1,26 +1,24 @@
-"""From evaluation.json files to the tables in each format, by the command."""
+"""From evaluation.json files to tables, by the command."""
 
 import csv
 import re
 
 import pytest
 
-from rfpp.evaluation.measuring.evaluation_collection import read_evaluations
-from rfpp.evaluation.measuring.training_cost import TrainingCost
-from rfpp.evaluation.tables.of_the_paper import main, result_tables, write_tables
+from rfpp.evaluation.tables.__main__ import main, result_tables
 
 TABLES = ("table1", "table2", "others")
 
 
 @pytest.fixture
 def tables(tmp_path):
-    """`tables(evaluations)`: writes them into folders of their own and returns the tables' texts by file name."""
+    """`tables(evaluations)`: write each into a folder and return the tables' texts by file name."""
 
     def written(*evaluations) -> dict[str, str]:
         for index, e in enumerate(evaluations):
             e.write(tmp_path / "runs" / str(index) / "evaluation")
-        files = write_tables([tmp_path / "runs"], tmp_path / "tables")
-        return {file.name: file.read_text() for file in files if file.suffix != ".png"}
+        main([str(tmp_path / "runs"), "--output", str(tmp_path / "tables")])
+        return {file.name: file.read_text() for file in (tmp_path / "tables").iterdir()}
 
     return written
 
@@ -35,7 +33,7 @@ def _csv_rows(text: str, **where: str) -> list[dict[str, str]]:
     return [row for row in rows if all(row[key] == value for key, value in where.items())]
 
 
-def test_our_number_stands_beneath_the_papers_with_its_interval_and_fraction_of_the_steps(tables, evaluation) -> None:
+def test_our_number_is_below_the_papers_with_its_interval_and_steps(tables, evaluation) -> None:
     rows = _markdown_rows(tables(evaluation())["table1.md"])
     start = next(i for i, row in enumerate(rows) if row[0] == "RenderFormer++")
     paper, ours, interval = rows[start : start + 3]
@@ -45,33 +43,30 @@ def test_our_number_stands_beneath_the_papers_with_its_interval_and_fraction_of_
     assert len({len(row) for row in rows}) == 1
 
 
-def test_a_run_of_the_papers_length_makes_nothing_of_it(tables, evaluation) -> None:
+def test_a_run_of_the_papers_length_is_not_compared(tables, evaluation) -> None:
     text = tables(evaluation(steps=500_000))["table1.md"]
     assert "500K steps on" in text
     assert "of the paper's" not in text
 
 
-def test_every_row_of_the_paper_is_there_and_the_others_are_shown_as_not_run(tables, evaluation) -> None:
+def test_every_row_of_the_paper_is_present_and_missing_runs_are_marked(tables, evaluation) -> None:
     texts = tables(evaluation())
     assert texts["table1.md"].count("| paper |") == 6
     assert texts["table1.md"].count("ours: not run") == 5
     assert texts["table2.md"].count("| paper |") == texts["table2.md"].count("ours: not run") == 10
-    for name in ("table1.tex", "table2.tex"):
-        assert texts[name].count("ours: not run") == texts[name.replace("tex", "md")].count("ours: not run")
     not_run = _csv_rows(texts["table2.csv"], method="RenderFormer++ w/o TCL", metric="l1")
     assert [(row["paper"], row["ours"], row["steps"]) for row in not_run] == [("0.0883", "", "")]
 
 
-def test_beneath_it_stand_seed_commit_data_hardware_and_definitions(tables, evaluation) -> None:
-    for end in ("md", "tex"):
-        text = tables(evaluation(seed=4))[f"table1.{end}"].replace("\\", "")
-        assert "27K steps on small_scale, seed 4, commit abcdef123456; evaluated on small_scale" in text
-        assert "manifest hash of smal; train_newviews 50 scenes, test 50 scenes), by a machine, 2 cores." in text
-        assert "(|y| + 0.01)" in text or r"(textbar{}ytextbar{} + 0.01)" in text
-        assert "clamp(log2(1 + I), 0, 1)" in text
+def test_notes_state_seed_commit_data_hardware_and_definitions(tables, evaluation) -> None:
+    text = tables(evaluation(seed=4))["table1.md"].replace("\\", "")
+    assert "27K steps on small_scale, seed 4, commit abcdef123456; evaluated on small_scale" in text
+    assert "manifest hash of smal; train_newviews 50 scenes, test 50 scenes), by a machine, 2 cores." in text
+    assert "(|y| + 0.01)" in text
+    assert "clamp(log2(1 + I), 0, 1)" in text
 
 
-def test_seeds_are_averaged_and_their_spread_is_told(tables, evaluation) -> None:
+def test_seeds_are_averaged_with_their_standard_deviation(tables, evaluation) -> None:
     texts = tables(*(evaluation(seed=seed, level=level) for seed, level in enumerate((0.1, 0.2, 0.3))))
     rows = _markdown_rows(texts["table1.md"])
     ours = next(i for i, row in enumerate(rows) if row[1].startswith("ours ") and "27K" in row[1])
@@ -92,16 +87,6 @@ def test_trainings_that_differ_in_more_than_their_seed_are_not_averaged(tables, 
     assert r"ours \[2\]" in text
 
 
-def test_what_a_step_took_stands_beside_quality_where_every_seed_tells(tables, evaluation) -> None:
-    costs = [TrainingCost(0.5, 2.0), TrainingCost(0.7, 3.0)]
-    seeds = [evaluation(data="toys", seed=seed, cost=cost) for seed, cost in enumerate(costs)]
-    text = tables(*seeds)
-    assert "27K steps on toys, 0.6 s and 2.5 GiB each" in text["others.md"]
-    rows = [row for row in _csv_rows(text["others.csv"]) if row["method"] == "RenderFormer++"]
-    assert {(row["step_s"], row["memory_GiB"]) for row in rows} == {("0.5; 0.7", "2; 3")}
-    assert "GiB" not in tables(seeds[0], evaluation(data="toys", seed=1))["others.md"]
-
-
 def test_table_2_is_the_mean_over_both_data_sets_and_splits(tables, evaluation) -> None:
     small, large = (
         evaluation(data=d, trained_on="both", level=v) for d, v in (("small_scale", 0.1), ("large_scale", 0.3))
@@ -114,7 +99,7 @@ def test_table_2_is_the_mean_over_both_data_sets_and_splits(tables, evaluation) 
     assert (row["scenes"], row["evaluated_on"]) == ("200", "small_scale; large_scale")
 
 
-def test_a_row_needs_all_its_data_sets_and_what_it_lacks_is_not_lost(tables, evaluation) -> None:
+def test_a_row_needs_all_its_data_sets_else_it_moves_to_the_others(tables, evaluation) -> None:
     texts = tables(evaluation("RenderFormer++ w/o TCL"))
     assert "ours [" not in texts["table2.md"].replace("\\", "")
     assert _csv_rows(texts["others.csv"], method="RenderFormer++ w/o TCL", metric="l1")
@@ -126,7 +111,7 @@ def test_a_row_needs_all_its_splits(tables, evaluation) -> None:
     assert _markdown_rows(texts["others.md"])[0][2] == "test: L1 ↓"
 
 
-def test_other_data_has_a_table_of_its_own_with_its_baselines(tables, evaluation) -> None:
+def test_other_data_has_its_own_table_with_baselines(tables, evaluation) -> None:
     rows = _markdown_rows(tables(evaluation(data="quickstart"))["others.md"])
     assert [row[:3] for row in rows[2:]] == [
         ["**Data set 'quickstart'**", "", ""],
@@ -136,41 +121,24 @@ def test_other_data_has_a_table_of_its_own_with_its_baselines(tables, evaluation
     ]
 
 
-def test_baselines_stand_in_the_papers_tables_too_once_for_each_data_set(tables, evaluation) -> None:
+def test_baselines_are_in_the_papers_tables_once_per_data_set(tables, evaluation) -> None:
     text = tables(evaluation(), evaluation("RenderFormer*"))["table1.md"]
     assert text.count("| black | baseline | 0.9000 |") == 1
 
 
-def test_without_others_there_is_no_such_table(tables, evaluation) -> None:
+def test_without_other_evaluations_there_is_no_table_of_them(tables, evaluation) -> None:
     assert {name.partition(".")[0] for name in tables(evaluation())} == {"table1", "table2"}
 
 
-def test_latex_is_balanced_and_escaped(tables, evaluation) -> None:
-    text = tables(evaluation(), evaluation(data="quickstart", hardware="100% & #1"))["others.tex"]
-    assert r"100\% \& \#1" in text
-    assert text.count("{") == text.count("}")
-    assert all(begun in text for begun in (r"\begin{table*}", r"\end{table*}", r"\begin{tabular}{ll", r"\end{tabular}"))
-    assert text.isascii()
-    body = [line for line in text.splitlines() if line.endswith(r"\\") and "multicolumn" not in line]
-    assert {len(re.split(r"(?<!\\)&", line)) for line in body} == {2 + 8}
-
-
-def test_the_command_writes_and_names_its_files(evaluation, tmp_path, capsys) -> None:
+def test_the_command_prints_its_files(evaluation, tmp_path, capsys) -> None:
     evaluation(data="quickstart").write(tmp_path / "a")
     main([str(tmp_path / "a"), "--output", str(tmp_path / "out")])
-    expected = {tmp_path / "out" / f"{table}.{end}" for table in TABLES for end in ("md", "tex", "csv")}
-    expected.add(tmp_path / "out" / "others.png")
+    expected = {tmp_path / "out" / f"{table}.{end}" for table in TABLES for end in ("md", "csv")}
     assert {str(path) for path in expected} == set(capsys.readouterr().out.split())
     assert all(path.is_file() for path in expected)
 
 
-def test_the_command_keeps_all_records_in_one_file(evaluation, tmp_path) -> None:
-    evaluation().write(tmp_path / "a")
-    main([str(tmp_path / "a"), "--output", str(tmp_path / "out"), "--collect", str(tmp_path / "evaluations.json")])
-    assert read_evaluations([tmp_path / "evaluations.json"]) == [evaluation()]
-
-
-def test_the_command_answers_a_bad_path_in_one_line(tmp_path, capsys) -> None:
+def test_a_bad_path_is_one_line(tmp_path, capsys) -> None:
     with pytest.raises(
         SystemExit, match=r"^error: .*nowhere: cannot be read \(No such file or directory\): correct"
     ) as stop:
@@ -178,7 +146,7 @@ def test_the_command_answers_a_bad_path_in_one_line(tmp_path, capsys) -> None:
     assert "\n" not in str(stop.value)
 
 
-def test_an_evaluation_is_in_one_table_or_another(evaluation, tmp_path) -> None:
+def test_every_evaluation_is_in_a_table(evaluation, tmp_path) -> None:
     all_of_them = [
         evaluation(method, data, seed)
         for method in ("RenderFormer++", "RenderFormer++ (K=1)", "mine")
@@ -191,7 +159,7 @@ def test_an_evaluation_is_in_one_table_or_another(evaluation, tmp_path) -> None:
     assert len(shown) == len(all_of_them)
 
 
-def test_a_note_says_what_of_the_network_lives(evaluation, tables):
-    life = {"test": {"exchanged_tokens": 0.021, "no_transport": 1.08}}
-    text = tables(evaluation(data="quickstart", life=life))["others.md"]
-    assert "Seed 0: log-L1 with other scenes' tokens +2%, without transport +108%." in text
+def test_a_note_has_the_ablations(evaluation, tables):
+    ablation = {"train_newviews": {}, "test": {"other_tokens": 0.021, "no_operator": 1.08}}
+    text = tables(evaluation(data="quickstart", ablation=ablation))["others.md"]
+    assert "Seed 0: log-L1 with another scene's tokens +2%, without the operator +108%." in text
