@@ -84,18 +84,12 @@ def test_it_is_closer_to_the_reference_than_direct_light_and_reflections(rendere
 
 
 def test_the_refinement_reduces_the_error(renderer):
-    errors = {
-        is_refined: np.mean(
-            [
-                difference(
-                    next(renderer.views(view_of(name), 64, is_refined=is_refined)), picture(f"{name}_0_reference")
-                )
-                for name in NAMES
-            ]
-        )
-        for is_refined in (True, False)
-    }
-    assert errors[True] < 0.95 * errors[False]
+    def error(name: str, is_refined: bool) -> float:
+        image = next(renderer.views(view_of(name), 64, is_refined=is_refined))
+        return difference(image, picture(f"{name}_0_reference"))
+
+    refined, unrefined = (np.mean([error(name, is_refined) for name in NAMES]) for is_refined in (True, False))
+    assert refined < 0.95 * unrefined
 
 
 @pytest.mark.parametrize("name", NAMES)
