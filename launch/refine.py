@@ -35,7 +35,7 @@ from rfpp.training.tracking import code_version
 @entry_point("refine")
 def main(cfg: DictConfig) -> Path:
     """Train the refinement of `cfg.radiosity` on `cfg.data`; return the model folder."""
-    warnings.filterwarnings("ignore", message=".*does not have many workers.*")
+    warnings.filterwarnings("ignore", message=".*(does not have many workers|`srun` command is available).*")
     logging.getLogger("lightning.pytorch").setLevel(logging.WARNING)
     L.seed_everything(cfg.seed, verbose=False)
     console = Console(highlight=False, soft_wrap=True)
