@@ -25,7 +25,6 @@ from rfpp.scene.io.renderformer_json import load_json
 from rfpp.scene.io.stl import read_stl
 from rfpp.scene.packed import PackedScene
 from rfpp.scene.spec import Scene
-from rfpp.scene.triangles import world_meshes
 
 #: Suffix → reader, and the axis that points up in the file; None where the reader turns it.
 _READERS: dict[str, tuple[Callable[[Path], ImportedScene], str | None]] = {
@@ -100,7 +99,8 @@ def load_scene(
     else:
         scene = load_json(path)
     try:
-        world_meshes(scene)  # fails here, where the file is known, and not when the scene is packed
+        for item in scene.objects:
+            _ = item.world_mesh  # raises here, where the file is known; packing uses the cached mesh
     except SceneError as error:
         raise SceneError(f"{path}: {error}") from None
     return scene if triangles is None else within_budget(scene, triangles, f"{path}")

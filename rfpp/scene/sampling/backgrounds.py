@@ -11,8 +11,7 @@ from rfpp.errors import SceneError
 from rfpp.scene.mesh import Mesh
 from rfpp.scene.sampling.interval import Interval, freeze_intervals, uniform
 from rfpp.scene.sampling.open_region import OpenRegion
-from rfpp.scene.spec import Transform
-from rfpp.scene.triangles import rotation_matrix
+from rfpp.scene.spec import Transform, rotation_matrix
 
 #: The inward normal of each panel; it stands half a unit from the centre on the other side.
 PANELS = {"floor": (0, 0, 1), "back": (0, -1, 0), "right": (-1, 0, 0), "left": (1, 0, 0)}

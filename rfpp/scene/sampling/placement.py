@@ -13,8 +13,7 @@ from rfpp.scene.mesh import Mesh
 from rfpp.scene.sampling.interval import Interval, freeze_intervals, uniform
 from rfpp.scene.sampling.open_region import OpenRegion
 from rfpp.scene.sampling.sizes import SizeSampler
-from rfpp.scene.spec import Transform
-from rfpp.scene.triangles import rotation_matrix
+from rfpp.scene.spec import Transform, rotation_matrix
 
 #: Objects stay inside [-0.5, 0.5]^3.
 _HALF_EXTENT = 0.5
