@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any, NoReturn, TypeVar
 
 import hydra
-from hydra.core.global_hydra import GlobalHydra
 from hydra.errors import ConfigCompositionException, InstantiationException, OverrideParseException
 from omegaconf import DictConfig, OmegaConf
 
@@ -109,16 +108,6 @@ def required(cfg: DictConfig, key: str) -> Any:
     if OmegaConf.is_missing(cfg, key):
         raise UserError(f"{key} is not given: add {key}=… to the command line")
     return cfg[key]
-
-
-def composed(overrides: list[str], config_name: str) -> dict[str, Any]:
-    """Another of the project's configurations, resolved, from within a command or without one."""
-    if GlobalHydra.instance().is_initialized():
-        cfg = hydra.compose(config_name, overrides)
-    else:
-        with hydra.initialize_config_dir(str(CONFIG_DIR), version_base="1.3"):
-            cfg = hydra.compose(config_name, overrides)
-    return OmegaConf.to_container(cfg, resolve=True)
 
 
 def settings(group: str, key: str, name: str) -> DictConfig:

@@ -1,1 +1,1 @@
-"""What things cost and what they are worth beside Cycles: time, memory, quality."""
+"""Benchmarks of time, memory and image quality, also beside Cycles (`launch/benchmark.py`)."""

@@ -1,11 +1,10 @@
-"""Error over time of a network and of Cycles with few samples, from the CSV file of the benchmark.
+"""Plot error over time of a renderer and of Cycles, and compare their times at equal error.
 
-python -m rfpp.benchmark.equal_time_plot data/results/equal_time.csv     writes a picture beside it, and prints times
+python -m rfpp.benchmark.equal_time_plot data/results/equal_time.csv
 """
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -17,97 +16,90 @@ from rich.console import Console
 from rich.table import Table
 
 from rfpp.benchmark import plotting
-from rfpp.errors import UserError
+from rfpp.benchmark.csv_rows import command, read_rows
 
-#: Panel → the column of its seconds, and those of its errors, the first of which is drawn.
+#: Panel → column of its seconds, and columns of its errors; the first error is drawn.
 _PANELS = {
-    "a first picture": ("first_s", ("log_l1", "flip")),
-    "the next view": ("view_s", ("log_l1", "flip")),
+    "first image": ("first_s", ("log_l1", "flip")),
+    "next view": ("view_s", ("log_l1", "flip")),
     "after an edit": ("edit_s", ("log_l1", "flip")),
-    "a film's frame": ("frame_s", ("flicker",)),
+    "frame of an animation": ("frame_s", ("flicker",)),
 }
+_COLUMNS = {"scene", "method", "samples", "first_s", "view_s", "edit_s", "log_l1", "flip"}
 _LABELS = {"log_l1": "log-L1", "flip": "ꟻLIP", "flicker": "flicker"}
 
 Rows = Sequence[dict[str, str]]
 
 
-def plot(file: Path) -> Path:
-    """A panel for each kind of picture: a line of Cycles for each scene, a star for the network; returns the PNG.
-
-    Raises UserError: the file cannot be read, or is not of this benchmark.
-    """
-    try:
-        rows = list(csv.DictReader(file.read_text(encoding="utf-8").splitlines()))
-        scenes = list(dict.fromkeys(row["scene"] for row in rows))
-        # films may have been left out
-        measured = {title: columns for title, columns in _PANELS.items() if columns[0] in rows[0]}
-        size = (4.2 * len(measured), 4)
-        figure, [panels] = plt.subplots(1, len(measured), figsize=size, constrained_layout=True, squeeze=False)
-        for panel, (title, (seconds, errors)) in zip(panels, measured.items(), strict=True):
-            _draw(panel, rows, scenes, seconds, errors[0])
-            panel.set_title(title)
-        times = _times(rows, measured)
-    except (OSError, IndexError, KeyError, ValueError) as error:
-        raise UserError(f"{file}: not a table of benchmark=equal_time ({error}): measure it first") from None
-    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=4, fontsize=8)
-    Console(width=120).print(times)
-    return plotting.saved(figure, file)
+def plot(path: Path) -> Path:
+    """Print times at equal error and save a plot beside the table. Raises UserError naming the file."""
+    rows = read_rows(path, "equal_time", _COLUMNS)
+    panels = {title: columns for title, columns in _PANELS.items() if columns[0] in rows[0]}
+    size = (4.2 * len(panels), 4)
+    figure, [axes] = plt.subplots(1, len(panels), figsize=size, constrained_layout=True, squeeze=False)
+    for axis, (title, (seconds, errors)) in zip(axes, panels.items(), strict=True):
+        _draw(axis, rows, seconds, errors[0])
+        axis.set_title(title)
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=4, fontsize=8)
+    Console(width=120).print(_times(rows, panels))
+    return plotting.save(figure, path)
 
 
 def times_at_equal_error(rows: Rows, method: str, seconds: str, error: str) -> list[float]:
-    """A network's method takes so many times as long as Cycles of the same error, in each scene.
+    """Return, for each scene, a method's time divided by the time of Cycles at the same error.
 
-    Between numbers of samples, Cycles' time is interpolated, logarithm over logarithm; outside, it is that of the
-    fewest or the most.
+    The time of Cycles is interpolated between sample counts in logarithms; outside of them it is that of the fewest or
+    the most samples.
     """
-    times = []
-    for mine in (row for row in rows if row["method"] == method):
-        cycles = [row for row in rows if row["scene"] == mine["scene"] and int(row["samples"])]
+    ratios = []
+    for own in (row for row in rows if row["method"] == method):
+        cycles = [row for row in rows if row["scene"] == own["scene"] and _is_cycles(row)]
         points = sorted((float(row[error]), float(row[seconds])) for row in cycles)
-        as_good = np.exp(np.interp(np.log(float(mine[error])), *np.log(points).T))
-        times.append(float(mine[seconds]) / float(as_good))
-    return times
+        as_good = np.exp(np.interp(np.log(float(own[error])), *np.log(points).T))
+        ratios.append(float(own[seconds]) / float(as_good))
+    return ratios
+
+
+def _is_cycles(row: dict[str, str]) -> bool:
+    return row["samples"] not in ("", "0")
 
 
 def _times(rows: Rows, panels: dict[str, tuple[str, tuple[str, ...]]]) -> Table:
-    """Geometric means over scenes, with the least and the largest."""
+    """Return geometric means over scenes, with minimum and maximum."""
     table = Table("", "error", *panels, box=None, title_justify="left")
-    table.title = (
-        "Time divided by Cycles' for the same error; where no number of samples reaches it, by that of the most"
-    )
-    for method in dict.fromkeys(row["method"] for row in rows if not int(row["samples"])):
+    table.title = "Time divided by that of Cycles at the same error (beyond its most samples: by that of the most)"
+    for method in dict.fromkeys(row["method"] for row in rows if not _is_cycles(row)):
         for error, label in _LABELS.items():
-            cells = [
-                _summary(times_at_equal_error(rows, method, seconds, error)) if error in errors else ""
-                for seconds, errors in panels.values()
-            ]
+            cells = []
+            for seconds, errors in panels.values():
+                ratios = times_at_equal_error(rows, method, seconds, error) if error in errors else []
+                mean = np.exp(np.mean(np.log(ratios))) if ratios else 0
+                cells.append(f"{mean:.2f} ({min(ratios):.2f}–{max(ratios):.2f})" if ratios else "")
             if any(cells):
                 table.add_row(method, label, *cells)
     return table
 
 
-def _summary(times: Sequence[float]) -> str:
-    return f"{np.exp(np.mean(np.log(times))):.2f} ({min(times):.2f}–{max(times):.2f})"
-
-
-def _draw(panel: Axes, rows: Rows, scenes: Sequence[str], seconds: str, error: str) -> None:
-    for scene, colour in zip(scenes, plt.get_cmap("tab10").colors, strict=False):
-        mine = [row for row in rows if row["scene"] == scene]
-        cycles = sorted((float(row[seconds]), float(row[error])) for row in mine if int(row["samples"]))
-        ours = sorted((float(row[seconds]), float(row[error])) for row in mine if not int(row["samples"]))
-        panel.plot(*zip(*cycles, strict=True), ".-", color=colour, linewidth=1, label=f"{scene}: Cycles, denoised")
-        panel.plot(*zip(*ours, strict=True), "*:", color=colour, markersize=13, label=f"{scene}: rfpp")
-    panel.set(xscale="log", yscale="log", xlabel="seconds", ylabel=_LABELS[error])
-    for axis in (panel.xaxis, panel.yaxis):
-        axis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-        axis.set_minor_formatter(NullFormatter())
-    panel.grid(which="both", alpha=0.2)
+def _draw(axis: Axes, rows: Rows, seconds: str, error: str) -> None:
+    """Draw a line of Cycles and stars of the renderer for each scene."""
+    scenes = dict.fromkeys(row["scene"] for row in rows)
+    for scene, color in zip(scenes, plt.get_cmap("tab10").colors, strict=False):
+        for is_cycles, style, size, name in [(True, ".-", 6, "Cycles, denoised"), (False, "*:", 13, "ours")]:
+            found = [row for row in rows if row["scene"] == scene and _is_cycles(row) == is_cycles]
+            points = sorted((float(row[seconds]), float(row[error])) for row in found)
+            label = f"{scene}: {name}"
+            axis.plot(*zip(*points, strict=True), style, color=color, markersize=size, linewidth=1, label=label)
+    axis.set(xscale="log", yscale="log", xlabel="seconds", ylabel=_LABELS[error])
+    for side in (axis.xaxis, axis.yaxis):
+        side.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        side.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        side.set_minor_formatter(NullFormatter())
+    axis.grid(which="both", alpha=0.2)
 
 
 def main(arguments: Sequence[str] | None = None) -> Path:
-    """See `plotting.command`."""
-    return plotting.command("equal_time", __doc__, plot, arguments)
+    """Run the command of the module's docstring."""
+    return command("equal_time", __doc__, plot, arguments)
 
 
 if __name__ == "__main__":

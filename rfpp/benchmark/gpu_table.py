@@ -1,120 +1,78 @@
-"""The table of `benchmark=gpu` in Markdown.
+"""Print the table of RenderFormer and RenderFormer++ on a GPU as Markdown.
 
-python -m rfpp.benchmark.gpu_table data/results/gpu.csv --into docs/results.md
+python -m rfpp.benchmark.gpu_table data/results/gpu.csv
 """
 
 from __future__ import annotations
 
-import argparse
-from collections.abc import Mapping, Sequence
-from pathlib import Path
-from typing import Any
+from collections.abc import Sequence
 
-from rfpp.benchmark.cost.rows import read_rows
-from rfpp.benchmark.gpu import NEEDED
+from rfpp.benchmark.cost.measuring import COLUMNS
+from rfpp.benchmark.csv_rows import command, read_rows
 from rfpp.errors import UserError
-from rfpp.files import write_atomically
 
-#: What stands before and after the table in a file that holds it.
-BEGIN, END = "<!-- made by rfpp.benchmark.gpu_table -->", "<!-- end of what was made -->"
-#: Networks that are compared, by their names in conf/benchmark/gpu.yaml: baseline, and what is better or not.
-BASELINE, OURS = "renderformer", "rfpp"
+#: Compared networks, the baseline first.
+NETWORKS = ("RenderFormer", "RenderFormer++")
 
-Row = Mapping[str, Any]
+_HEADER = "| bf16, one view | triangles | pixels | RenderFormer | RenderFormer++ | speed | memory |"
+#: Measured quantities in the order of the table.
+_NAMES = {
+    "training_step": "training step",
+    "render": "render",
+    "checkpointed_training_step": "training step, blocks recomputed",
+    "least_memory_training_step": "training step, least memory",
+}
+#: Columns that two rows must share to be compared.
+_SHARED = (
+    "quantity", "triangles", "objects", "views", "resolution", "scenes", "compiled", "hardware", "torch", "commit"
+)  # fmt: skip
+
+Rows = Sequence[dict[str, str]]
 
 
-def table(rows: Sequence[Row]) -> str:
-    """Markdown: for each thing measured of both networks at the same size a line with seconds, memory and their ratios.
-
-    Cards, and commits, are not compared with each other: each has lines of its own.
+def table(rows: Rows) -> str:
+    """Return a Markdown table for each GPU, PyTorch version and commit, with the largest network of each name.
 
     Raises:
-        UserError: nothing was measured of both.
+        UserError: If no case was measured with both networks.
     """
-    measured: dict[str, list[Row]] = {}
-    for row in rows:
-        measured.setdefault(f"{row['hardware']}, torch {row['torch']}, commit {row['commit']}", []).append(row)
-    made = [
-        "\n".join([*lines, "", f"*{where}: medians; `launch/benchmark.py benchmark=gpu`.*"])
-        for where, of in measured.items()
-        if (lines := _lines(of))
-    ]
-    if not made:
-        raise UserError(f"nothing was measured of both {BASELINE} and {OURS}: run benchmark=gpu further")
-    return "\n\n".join(made)
+    by_size = sorted(rows, key=lambda row: int(row["parameters"]))  # the largest network of each name comes last
+    by_network = [{tuple(row[c] for c in _SHARED): row for row in by_size if row["network"] == n} for n in NETWORKS]
+    pairs = [(row, by_network[1][key]) for key, row in by_network[0].items() if key in by_network[1]]
+    pairs = [(baseline, ours) for baseline, ours in pairs if baseline["quantity"] in _NAMES]
+    if not pairs:
+        raise UserError("no case was measured with both networks: continue benchmark=gpu")
+    order = list(_NAMES)
+    pairs.sort(key=lambda p: (order.index(p[0]["quantity"]), int(p[0]["resolution"]), int(p[0]["triangles"])))
+    sources: dict[str, list[str]] = {}
+    for baseline, ours in pairs:
+        source = f"*{ours['hardware']}, torch {ours['torch']}, commit {ours['commit']}: medians.*"
+        sources.setdefault(source, []).append(_line(baseline, ours))
+    return "\n\n".join("\n".join([_HEADER, 7 * "|---" + "|", *lines, "", s]) for s, lines in sources.items())
 
 
-def _lines(rows: Sequence[Row]) -> list[str]:
-    """Of one card and commit; none where nothing was measured of both networks."""
-    ours = {_what(row): row for row in rows if row["network"] == OURS}
-    quantities = list(dict.fromkeys(row["quantity"] for row in rows))
-    lines = []
-    for row in sorted(rows, key=lambda r: (quantities.index(r["quantity"]), int(r["resolution"]), int(r["triangles"]))):
-        other = ours.get(_what(row))
-        if row["network"] != BASELINE or other is None or row["quantity"] in ("encode", "view"):
-            continue
-        cells = [_cell(row), _cell(other), _ratio(row, other, "seconds", "{:.1f} ×"), _memory(row, other)]
-        side = f"{row['resolution']}²"
-        lines.append(f"| {_name(row)} | {int(row['triangles']):,} | {side} | {' | '.join(cells)} |")
-    header = "| base, bf16, one view | triangles | pixels | RenderFormer | RenderFormer++ | speed | memory |"
-    return [header, "|---|---|---|---|---|---|---|", *lines] if lines else []
+def _line(baseline: dict[str, str], ours: dict[str, str]) -> str:
+    name = _NAMES[ours["quantity"]] + (", compiled" if ours["compiled"] == "true" else "")
+    speed = memory = ""
+    if baseline["seconds"] and ours["seconds"]:
+        speed = f"{float(baseline['seconds']) / float(ours['seconds']):.1f} ×"
+    if baseline["peak_GB"] and ours["peak_GB"]:
+        memory = f"{100 * (float(ours['peak_GB']) / float(baseline['peak_GB']) - 1):+.0f}%".replace("-", "−")
+    cells = [f"{int(ours['triangles']):,}", f"{ours['resolution']}²", _cell(baseline), _cell(ours), speed, memory]
+    return f"| {' | '.join([name, *cells])} |"
 
 
-def _what(row: Row) -> tuple[str, ...]:
-    return tuple(
-        row[name] for name in ("quantity", "size", "compiled", "triangles", "objects", "views", "resolution", "scenes")
-    )
-
-
-def _name(row: Row) -> str:
-    names = {
-        "training_step": "training step",
-        "checkpointed_training_step": "training step, blocks recomputed",
-        "least_memory_training_step": "training step, least memory",
-    }
-    name = names.get(row["quantity"], row["quantity"])
-    return f"{name}, compiled" if row["compiled"] == "True" else name
-
-
-def _cell(row: Row) -> str:
+def _cell(row: dict[str, str]) -> str:
     if not row["seconds"]:
         return row["status"]
     gigabytes = f", {float(row['peak_GB']):.1f} GB" if row["peak_GB"] else ""
     return f"{1000 * float(row['seconds']):.0f} ms{gigabytes}"
 
 
-def _ratio(row: Row, other: Row, column: str, text: str) -> str:
-    return text.format(float(row[column]) / float(other[column])) if row[column] and other[column] else ""
-
-
-def _memory(row: Row, other: Row) -> str:
-    if not row["peak_GB"] or not other["peak_GB"]:
-        return ""
-    return f"{100 * (float(other['peak_GB']) / float(row['peak_GB']) - 1):+.0f}%".replace("-", "−")
-
-
-def insert(text: str, made: str) -> str:
-    """The text with `made` between its marks. Raises UserError where it has none."""
-    before, begin, rest = text.partition(BEGIN)
-    _, end, after = rest.partition(END)
-    if not begin or not end:
-        raise UserError(f"no place for the table: put the lines {BEGIN} and {END} there")
-    return f"{before}{begin}\n\n{made}\n\n{end}{after}"
-
-
-def main(arguments: Sequence[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("rows", type=Path, help="what launch/benchmark.py benchmark=gpu output=… has written")
-    parser.add_argument("--into", type=Path, help="a Markdown file with a place for the table; none: print it")
-    given = parser.parse_args(arguments)
-    try:
-        made = table(read_rows(given.rows, NEEDED, "gpu"))
-        if given.into is None:
-            print(made)
-        else:
-            write_atomically(given.into, insert(given.into.read_text(encoding="utf-8"), made).encode())
-    except UserError as error:
-        parser.exit(1, f"error: {error}\n")
+def main(arguments: Sequence[str] | None = None) -> str:
+    """Run the command of the module's docstring."""
+    columns = COLUMNS | {*_SHARED, "parameters"}
+    return command("gpu", __doc__, lambda path: table(read_rows(path, "gpu", columns)), arguments)
 
 
 if __name__ == "__main__":

@@ -9,30 +9,85 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from statistics import median
+from typing import Any
 
+import hydra
+import numpy as np
 import torch
 import torch.distributed as dist
+from hydra.utils import instantiate
 from torch import multiprocessing, nn
 from torch.nn.parallel import DistributedDataParallel
 
 from rfpp.batch import RaggedBatch, SceneViews
-from rfpp.benchmark.training_case import Training
+from rfpp.benchmark.cost.case import noisy_views
+from rfpp.losses.rendering import RenderingLoss
+from rfpp.model.renderformer_pp import RenderFormerPP
+from rfpp.scene.packed import pack
+from rfpp.shards.job import SceneSource
 from rfpp.training.dealing import Dealing, InOrder
 
 RANKS = 2
-#: Steps on other scenes that are timed together.
+#: Steps on different scenes that are timed together.
 STEPS = 2
 
 
 @dataclass(frozen=True)
-class Timings:
-    """Seconds, medians over rounds in which all take turns.
+class TrainingCase:
+    """Experiment without its data set.
 
     Attributes:
-        alone: a step on a global batch by one process while the other rests.
-        whole_batch, half_batch: a step on a global batch, and on half of one, while the other process does the same.
-        all_reduce: averaging the gradients, and nothing else.
-        together: a step of both on one global batch, half each, as DistributedDataParallel does it, by dealing.
+        network, loss, optimizer: Functions that create them; the last takes parameters.
+        family: Family of the scenes.
+        resolution, views: Resolution and number of a scene's images.
+        scenes_per_step: Scenes in a global batch.
+        scenes_at_once: Scenes that a device holds; None for its whole share.
+    """
+
+    network: Callable[[], RenderFormerPP]
+    loss: Callable[[], RenderingLoss]
+    optimizer: Callable[..., torch.optim.Optimizer]
+    family: SceneSource
+    resolution: int
+    views: int
+    scenes_per_step: int
+    scenes_at_once: int | None
+
+    @classmethod
+    def compose(cls, overrides: Sequence[str]) -> TrainingCase:
+        """Return the training of launch/train.py with these overrides; needs an initialized Hydra."""
+        cfg = hydra.compose("train", overrides=list(overrides))
+        return cls(
+            network=partial(instantiate, cfg.model, _convert_="all"),
+            loss=partial(instantiate, cfg.loss),
+            optimizer=instantiate(cfg.optimizer),
+            family=instantiate(cfg.family, _convert_="all"),
+            resolution=cfg.data.resolution,
+            views=cfg.datamodule.views_per_scene,
+            scenes_per_step=cfg.datamodule.scenes_per_step,
+            scenes_at_once=cfg.datamodule.scenes_per_device,
+        )
+
+    def scenes(self, count: int) -> list[SceneViews]:
+        """Draw scenes of the family; images and G-buffers are noise."""
+        channels, scenes = self.network().gbuffer_channels, []
+        for seed in range(count):
+            rng = np.random.default_rng(seed)
+            scene = pack(self.family.sample(*rng.spawn(2), held_out=False))
+            scene = scene.views([i % len(scene.fov) for i in range(self.views)])
+            scenes.append(noisy_views(scene.triangles, scene.c2w, scene.fov, channels, self.resolution, rng))
+        return scenes
+
+
+@dataclass(frozen=True)
+class Timings:
+    """Seconds per step; medians over rounds in which all measurements take turns.
+
+    Attributes:
+        alone: Step on a global batch by one process while the other is idle.
+        whole_batch, half_batch: Step on a global batch, and on half of one, while the other process does the same.
+        all_reduce: Averaging of the gradients alone.
+        together: Partition → step of both processes on a global batch, half each, with DistributedDataParallel.
     """
 
     alone: float
@@ -42,77 +97,74 @@ class Timings:
     together: dict[str, float]
 
 
-def timed_ranks(
-    training: Training,
+def time_ranks(
+    training: TrainingCase,
     scenes: Sequence[SceneViews],
-    dealings: Mapping[str, Dealing],
+    partitions: Mapping[str, Dealing],
     rounds: int,
     progress: Callable[[int, int], None],
 ) -> Timings:
-    """Time both processes. Of each measurement the slower one counts; `scenes` hold STEPS global batches."""
+    """Time both processes on the first STEPS global batches; the slower one counts."""
     context = multiprocessing.get_context("spawn")
     results = context.SimpleQueue()
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         address = f"tcp://127.0.0.1:{free.getsockname()[1]}"
-    arguments = (address, training, list(scenes), list(dealings.values()), rounds, results)
+    arguments = (address, training, list(scenes), list(partitions.values()), rounds, results)
     ranks = multiprocessing.spawn(_rank, arguments, nprocs=RANKS, join=False)
     measured = []
     progress(0, rounds)
     while len(measured) < rounds:
         if results.empty():
-            ranks.join(timeout=0.2)  # raises what a rank has raised
+            ranks.join(timeout=0.2)  # raises the exceptions of the ranks
             continue
         measured.append(results.get())
         progress(len(measured), rounds)
     ranks.join()
     alone, whole_batch, half_batch, all_reduce, *together = (median(values) for values in zip(*measured, strict=True))
-    return Timings(alone, whole_batch, half_batch, all_reduce, dict(zip(dealings, together, strict=True)))
+    return Timings(alone, whole_batch, half_batch, all_reduce, dict(zip(partitions, together, strict=True)))
 
 
 def _rank(
     rank: int,
     address: str,
-    training: Training,
+    training: TrainingCase,
     scenes: list[SceneViews],
-    dealings: Sequence[Dealing],
+    partitions: Sequence[Dealing],
     rounds: int,
-    results,
+    results: Any,  # queue of one list of seconds per round
 ) -> None:
     torch.set_num_threads(1)
     warnings.filterwarnings("ignore", message="Grad strides do not match")
     torch.manual_seed(0)
     dist.init_process_group("gloo", init_method=address, rank=rank, world_size=RANKS)
     network, loss = training.network(), training.loss()
-    together = DistributedDataParallel(network)
+    parallel = DistributedDataParallel(network)
     optimizer = training.optimizer(network.parameters())
-    batches = [scenes[i * training.scenes :][: training.scenes] for i in range(STEPS)]
-    whole = [RaggedBatch.pack(batch) for batch in batches]
+    batches = [scenes[i * training.scenes_per_step :][: training.scenes_per_step] for i in range(STEPS)]
 
-    def share(dealing: Dealing) -> list[RaggedBatch]:
-        """This rank's, of each global batch."""
-        return [
-            RaggedBatch.pack(dealing(batch, lambda scene: len(scene.triangles.positions), RANKS)[rank])
-            for batch in batches
-        ]
+    def share(partition: Dealing) -> list[RaggedBatch]:
+        """Return this rank's part of each global batch."""
+        parts = [partition(batch, lambda scene: len(scene.triangles), RANKS)[rank] for batch in batches]
+        return [RaggedBatch.pack(part) for part in parts]
 
-    half, shares = share(InOrder()), [share(dealing) for dealing in dealings]
-    gradients = torch.zeros(sum(p.numel() for p in network.parameters()))
-
-    def steps(module: nn.Module, packed: Sequence[RaggedBatch]) -> None:
+    def train(module: nn.Module, packed: Sequence[RaggedBatch]) -> None:
         for batch in packed:
             with torch.autocast("cpu", torch.bfloat16):
-                made = module(batch)
-            loss(made.log_radiance, made.transport_states, batch.image, made.state_segments)["loss"].backward()
+                rendering = module(batch)
+            states, segments = rendering.transport_states, rendering.token_segments
+            loss(rendering.log_radiance, states, batch.image, segments)["loss"].backward()
             optimizer.step()
             optimizer.zero_grad()
 
-    measurements: Sequence[Callable[[], None]] = (
-        lambda: steps(network, whole) if rank == 0 else None,
-        lambda: steps(network, whole),
-        lambda: steps(network, half),
+    whole, half = [RaggedBatch.pack(batch) for batch in batches], share(InOrder())
+    gradients = torch.zeros(sum(p.numel() for p in network.parameters()))
+    measurements: Sequence[Callable[[], object]] = (
+        lambda: train(network, whole) if rank == 0 else None,
+        lambda: train(network, whole),
+        lambda: train(network, half),
         lambda: [dist.all_reduce(gradients) for _ in range(STEPS)],
-        *(partial(steps, together, dealt) for dealt in shares),
+        *(partial(train, parallel, share(partition)) for partition in partitions),
     )
     for turn in range(-1, rounds):  # the first one warms up
         seconds = torch.tensor([_seconds(run) / STEPS for run in measurements])
@@ -122,7 +174,7 @@ def _rank(
     dist.destroy_process_group()
 
 
-def _seconds(run: Callable[[], None]) -> float:
+def _seconds(run: Callable[[], object]) -> float:
     dist.barrier()
     begin = time.perf_counter()
     run()

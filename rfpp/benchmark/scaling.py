@@ -1,70 +1,86 @@
-"""Predict training time on clusters with a model checked on this machine."""
+"""Predict training time on clusters with a model that is checked with two processes on this machine."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import product
 
+import numpy as np
+import torch
 from scipy.optimize import nnls
 
-from rfpp.benchmark.ranks import Timings, timed_ranks
+from rfpp.batch import RaggedBatch, SceneViews
+from rfpp.benchmark.csv_rows import Row
+from rfpp.benchmark.ranks import Timings, TrainingCase, time_ranks
 from rfpp.benchmark.step_time import Cluster, Work, step_time
-from rfpp.benchmark.training_case import Training
 from rfpp.training.dealing import Dealing
+from rfpp.training.flops import training_flops
 
-Row = dict[str, str | int | float | None]
+#: Scenes whose operations are counted; those of the others are linear in the number of triangles.
+COUNTED = 3
 
 
 def measure(
     checked: Sequence[str],
     predicted: Sequence[str],
     sample: int,
-    dealings: Mapping[str, Dealing],
+    partitions: Mapping[str, Dealing],
     clusters: Mapping[str, Cluster],
     devices: Sequence[int],
     rounds: int,
     progress: Callable[[int, int], None],
-) -> list[Row]:
-    """Rows of this machine, one and two processes of a core each, and of the clusters, by dealing and devices.
+) -> Iterator[Row]:
+    """Yield rows of one and two processes on this machine, then of the clusters, by partition and devices.
 
-    Of this machine are known: the time of a step without communication for half and for a whole global batch while
-    both cores work, and of averaging the gradients alone. The time of two processes' steps is predicted from these,
-    and measured.
+    On this machine, three times are measured: of a step without communication on half and on a whole global batch
+    while both cores are busy, and of averaging the gradients alone. The model predicts the time of a step of two
+    processes from these; that time is measured, too.
 
     Args:
-        checked: overrides of launch/train.py; small enough to be timed here.
-        predicted: overrides, too: what the clusters train, with its global batch and with one that grows with them.
-        sample: how many scenes stand for all.
-        dealings: of a global batch to devices, by the name that the rows have.
-        clusters: likewise.
-        devices: how many.
-        rounds: of timing; medians are taken.
-        progress: called with (rounds done, rounds in all).
+        checked: Overrides of launch/train.py for training that is small enough to be timed here.
+        predicted: Overrides for training on the clusters, with its global batch and with one that grows with them.
+        sample: Number of scenes that represent the family; at least two global batches of `checked`.
+        partitions: Name → distribution of a global batch over devices.
+        clusters: Name → cluster.
+        devices: Numbers of devices.
+        rounds: Rounds of timing; medians are used.
+        progress: Called with (rounds done, all rounds).
     """
-    training = Training.of(checked, sample)
-    scenes = training.scene_views()
-    timings = timed_ranks(training, scenes, dealings, rounds, progress)
-    some_dealing = next(iter(dealings.values()))
-    work = training.work(scenes, some_dealing)
+    training = TrainingCase.compose(checked)
+    scenes = training.scenes(sample)
+    timings = time_ranks(training, scenes, partitions, rounds, progress)
+    work = _work(training, scenes, next(iter(partitions.values())))
     here = this_machine(work, timings)
-    rows = []
-    for name, dealing in dealings.items():
+    for name, partition in partitions.items():
         measured = {1: timings.alone, 2: timings.together[name]}
-        dealt = replace(work, dealing=dealing)
-        rows += _rows("this machine", name, here, dict.fromkeys(measured, dealt), measured)
-    training = Training.of(predicted, sample)
-    work = training.work(training.scene_views(), some_dealing)
-    for (hardware, cluster), (name, dealing) in product(clusters.items(), dealings.items()):
-        dealt = replace(work, dealing=dealing)
+        works = dict.fromkeys(measured, replace(work, partition=partition))
+        yield from _rows({"trained_on": "this machine", "partition": name}, here, works, measured)
+    training = TrainingCase.compose(predicted)
+    work = _work(training, training.scenes(sample), next(iter(partitions.values())))
+    for (hardware, cluster), (name, partition) in product(clusters.items(), partitions.items()):
+        columns, own = {"trained_on": hardware, "partition": name}, replace(work, partition=partition)
         per_device = max(1, work.scenes // cluster.devices_per_node)
-        rows += _rows(hardware, name, cluster, {n: dealt for n in devices if work.scenes % n == 0})
-        rows += _rows(hardware, name, cluster, {n: replace(dealt, scenes=per_device * n) for n in devices})
-    return rows
+        yield from _rows(columns, cluster, {n: own for n in devices if work.scenes % n == 0}, {})
+        yield from _rows(columns, cluster, {n: replace(own, scenes=per_device * n) for n in devices}, {})
+
+
+def _work(training: TrainingCase, scenes: Sequence[SceneViews], partition: Dealing) -> Work:
+    """Count the work of a step on such scenes."""
+    network = training.network()
+    triangles = np.array([len(scene.triangles) for scene in scenes])
+    counted = np.argsort(triangles)[np.linspace(0, len(scenes) - 1, COUNTED).astype(int)]
+    with torch.autocast("cpu", torch.bfloat16):
+        flops = [training_flops(network, RaggedBatch.pack([scenes[i]])) for i in counted]
+    line = np.polynomial.Polynomial.fit(triangles[counted], flops, 1)
+    size = float(sum(p.numel() * p.element_size() for p in network.parameters()))
+    return Work(
+        triangles, line(triangles), size, training.scenes_per_step, training.scenes_at_once, partition, training.views
+    )
 
 
 def this_machine(work: Work, timings: Timings) -> Cluster:
-    """Two processes, one on each of two cores, which communicate on the same cores."""
+    """Fit the model to two processes on a core each, which compute and communicate on the same cores."""
     times = [timings.whole_batch, timings.half_batch]
     (per_batch, per_scene), _ = nnls([[1, work.scenes], [1, work.scenes / 2]], times)
     return Cluster(
@@ -81,30 +97,24 @@ def this_machine(work: Work, timings: Timings) -> Cluster:
 
 
 def _rows(
-    hardware: str,
-    dealing: str,
-    cluster: Cluster,
-    work: Mapping[int, Work],
-    measured: Mapping[int, float] | None = None,
-) -> list[Row]:
-    """A row for each number of devices, the first of them the one that the others' efficiency is of."""
-    times = {devices: step_time(cluster, its, devices) for devices, its in work.items()}
-    rates = {devices: its.images / times[devices].total for devices, its in work.items()}
-    first = next(iter(work))
-    return [
-        {
-            "trained_on": hardware,
-            "dealt": dealing,
+    columns: Mapping[str, str], cluster: Cluster, works: Mapping[int, Work], measured: Mapping[int, float]
+) -> Iterator[Row]:
+    """Yield a row for each number of devices; `efficiency` compares with the first one."""
+    first = None
+    for devices, work in works.items():
+        time = step_time(cluster, work, devices)
+        rate = work.images / time.total
+        first = first or rate / devices
+        yield {
+            **columns,
             "devices": devices,
-            "images_per_step": work[devices].images,
+            "images_per_step": work.images,
             "compute_s": time.compute,
             "waiting_s": time.waiting,
             "communication_s": time.communication,
             "data_s": time.data,
             "step_s": time.total,
-            "measured_s": None if measured is None else measured[devices],
-            "images_per_s": rates[devices],
-            "efficiency": (rates[devices] / devices) / (rates[first] / first),
+            "measured_s": measured.get(devices),
+            "images_per_s": rate,
+            "efficiency": rate / devices / first,
         }
-        for devices, time in times.items()
-    ]

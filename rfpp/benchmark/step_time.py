@@ -1,8 +1,8 @@
-"""What a training step takes on so many devices: a model of it, on paper.
+"""Model of the time of a training step on several devices.
 
-Synchronous data parallelism: the devices share a global batch, each computes its part, the slowest one decides, and
-their gradients are averaged by all-reduces that hide behind the backward pass as far as they can (Li et al. 2020,
-"PyTorch Distributed"). Scenes differ in size, so the devices' parts do too, as much as their dealing leaves.
+Synchronous data parallelism: the devices share a global batch, the slowest one decides, and their gradients are
+averaged by all-reduces that overlap with the backward pass (Li et al. 2020, "PyTorch Distributed"). Scenes differ in
+size, so the devices' shares do too, depending on the partition of the batch.
 """
 
 from __future__ import annotations
@@ -14,26 +14,26 @@ from jaxtyping import Float, Int
 
 from rfpp.training.dealing import Dealing
 
-#: Of forward and backward; gradients come in the latter.
+#: Share of the backward pass, which produces the gradients, in forward and backward.
 BACKWARD_SHARE = 2 / 3
-#: Random global batches whose slowest device is averaged over.
+#: Random global batches over which the slowest device is averaged.
 DRAWS = 2000
 
 
 @dataclass(frozen=True)
 class Cluster:
-    """What of a cluster decides the time of a step.
+    """Properties of a cluster that decide the time of a step.
 
     Attributes:
-        devices_per_node: at most.
-        flops_per_second: of one device, as training achieves it.
-        seconds_per_batch: of one device, whatever the batch: launching, the optimizer.
-        device_bandwidth: bytes per second into and out of a device, within its node.
-        node_bandwidth: bytes per second into and out of a node, over all its network cards.
-        latency: seconds per message.
-        bucket_bytes: of gradients that are averaged together; the last bucket's communication hides behind nothing.
-        overlap: share of the backward pass that communication can hide behind; 0 where it takes the same cores.
-        images_per_second: that a device's loader processes decode.
+        devices_per_node: Maximum number of devices in a node.
+        flops_per_second: Rate of one device in training.
+        seconds_per_batch: Fixed time per batch and device, e.g. kernel launches and the optimizer.
+        device_bandwidth: Bytes per second into and out of a device within its node.
+        node_bandwidth: Bytes per second into and out of a node, over all its network cards.
+        latency: Seconds per message.
+        bucket_bytes: Gradients that are averaged together; the last bucket does not overlap with the backward pass.
+        overlap: Share of the backward pass with which communication can overlap; 0 on the same cores.
+        images_per_second: Images that a device's loader processes decode.
     """
 
     devices_per_node: int
@@ -49,16 +49,16 @@ class Cluster:
 
 @dataclass(frozen=True)
 class Work:
-    """What there is to do.
+    """Work of a training step.
 
     Attributes:
-        triangles: of a sample of scenes.
-        scene_flops: of the same: operations of a training step for each, with all its views.
-        gradient_bytes: of the network.
-        scenes: of a global batch.
-        scenes_at_once: that a device holds; the rest of its share comes after. None: its whole share.
-        dealing: which device gets which scenes.
-        views: of each scene.
+        triangles: Triangles of sampled scenes.
+        scene_flops: Operations of a training step on each of these scenes, with all its views.
+        gradient_bytes: Size of the network's gradients.
+        scenes: Scenes in a global batch.
+        scenes_at_once: Scenes that a device holds, the rest being accumulated; None for its whole share.
+        partition: Distribution of a global batch over devices.
+        views: Views of each scene.
     """
 
     triangles: Int[np.ndarray, " sample"]
@@ -66,24 +66,24 @@ class Work:
     gradient_bytes: float
     scenes: int
     scenes_at_once: int | None
-    dealing: Dealing
+    partition: Dealing
     views: int
 
     @property
     def images(self) -> int:
-        """Of a global batch."""
+        """Images in a global batch."""
         return self.scenes * self.views
 
 
 @dataclass(frozen=True)
 class StepTime:
-    """Seconds of a step. All but `data` add up; a step takes `data` where that is longer.
+    """Seconds of a step.
 
     Attributes:
-        compute: of an average device.
-        waiting: for the device with the largest scenes.
-        communication: what of the all-reduce hides behind nothing.
-        data: until the loader processes have the next batch.
+        compute: Computation of an average device.
+        waiting: Additional time of the device with the largest scenes.
+        communication: Part of the all-reduce that does not overlap with the backward pass.
+        data: Loading of the next batch, in parallel with all of the above.
     """
 
     compute: float
@@ -93,38 +93,38 @@ class StepTime:
 
     @property
     def total(self) -> float:
+        """Seconds of the whole step."""
         return max(self.compute + self.waiting + self.communication, self.data)
 
 
 def step_time(cluster: Cluster, work: Work, devices: int) -> StepTime:
-    """The time of a step on so many devices. Raises ValueError when the global batch does not divide among them."""
+    """Predict the time of a step. Raises ValueError if the global batch does not divide among the devices."""
     share, left = divmod(work.scenes, devices)
     if left or not share:
         raise ValueError(f"{work.scenes} scenes do not divide among {devices} devices")
     batches = -(-share // (work.scenes_at_once or share))
     mean = share * work.scene_flops.mean() / cluster.flops_per_second
-    slowest = slowest_share(work, devices) * mean
-    backward = BACKWARD_SHARE * mean / batches  # only the last one's gradients are averaged
-    alone = all_reduce_seconds(cluster, work.gradient_bytes, devices)
+    backward = BACKWARD_SHARE * mean / batches  # only the last batch's gradients are averaged
+    all_reduce = all_reduce_seconds(cluster, work.gradient_bytes, devices)
     last_bucket = all_reduce_seconds(cluster, min(cluster.bucket_bytes, work.gradient_bytes), devices)
     return StepTime(
         compute=mean + batches * cluster.seconds_per_batch,
-        waiting=slowest - mean,
-        communication=max(alone - cluster.overlap * backward, last_bucket),
+        waiting=(slowest_share(work, devices) - 1) * mean,
+        communication=max(all_reduce - cluster.overlap * backward, last_bucket),
         data=share * work.views / cluster.images_per_second,
     )
 
 
 def slowest_share(work: Work, devices: int) -> float:
-    """How much more than the average the device with the most to do has to do, in the mean over random batches."""
+    """Return the largest load of a device divided by the mean load, averaged over random batches."""
     drawn = np.random.default_rng(0).integers(len(work.triangles), size=(DRAWS, work.scenes))
-    dealt = [work.dealing(batch, work.triangles.__getitem__, devices) for batch in drawn.tolist()]
-    loads = work.scene_flops[np.array(dealt)].sum(-1)  # [draws, devices]
+    parts = [work.partition(batch, work.triangles.__getitem__, devices) for batch in drawn.tolist()]
+    loads = work.scene_flops[np.array(parts)].sum(-1)  # [draws, devices]
     return float(loads.max(-1).mean() / loads.mean())
 
 
 def all_reduce_seconds(cluster: Cluster, size: float, devices: int) -> float:
-    """Averaging so many bytes: in a ring within each node, then between nodes, every device its part."""
+    """Predict an all-reduce: a ring within each node, then one between nodes, in which each device moves its part."""
     within = min(devices, cluster.devices_per_node)
     nodes = -(-devices // cluster.devices_per_node)
 

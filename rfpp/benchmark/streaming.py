@@ -1,159 +1,116 @@
-"""How fast training data is read: the training loader against reading the same bytes and doing nothing with them."""
+"""Measure the speed of loading training data."""
 
 from __future__ import annotations
 
-import os
 import tempfile
+import time
+import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from itertools import chain, islice, repeat
 from pathlib import Path
 from statistics import median
 
-import webdataset
+import lightning as L
+import psutil
 
-from rfpp.benchmark.invented import InventedData, StoredData
-from rfpp.benchmark.loader_pace import Stopwatch, loader_pace
-from rfpp.shards.index import SampleEntry
+from rfpp.benchmark.csv_rows import Row
+from rfpp.benchmark.synthetic_data import SyntheticData
 from rfpp.shards.manifest import Manifest
-from rfpp.shards.order import ShuffledOrder
 from rfpp.training.datamodule import SceneDataModule
 
-Row = dict[str, str | int | float]
-
-#: What the paper's training consumes on a node of 8 GPUs: 32 images per step of 1.2 s.
+#: Images per second of the paper's training on a node of 8 GPUs: 32 images in a step of 1.2 s.
 PAPER_IMAGES_PER_SECOND = 32 / 1.2
 
+#: Batches that each loader process prepares in advance.
+_PREFETCHED = 2
 
-@dataclass(frozen=True)
-class _DataSet:
-    """A data set and what is read of it in one measurement."""
-
-    manifest: Manifest
-    batches: int
-    scenes_per_batch: int
-    seed: int
-
-    @property
-    def scenes(self) -> int:
-        return self.batches * self.scenes_per_batch
-
-    @property
-    def entries(self) -> list[SampleEntry]:
-        return self.manifest.samples("train")
+#: Wall and CPU seconds, the latter with those of child processes.
+Seconds = tuple[float, float]
 
 
 def measure(
-    data: Mapping[str, InventedData | StoredData],
+    data: Mapping[str, SyntheticData | str],
     datamodule: Callable[..., SceneDataModule],
     workers: Sequence[int],
     batches: int,
     rounds: int,
     progress: Callable[[int, int], None],
-) -> list[Row]:
-    """A row per data set and way of reading; medians over rounds in which all of them take turns.
+) -> Iterator[Row]:
+    """Yield a row per data set and number of loader processes; medians over rounds in which all numbers take turns.
 
-    The files were read before, so that the disk has no part in it. Starting loader processes is not counted. On a
-    busy machine CPU time per scene says more than scenes per second.
+    The files are in the page cache, so the disk is not measured; starting loader processes is not counted. On a busy
+    machine, CPU time per scene is more reliable than scenes per second.
 
     Args:
-        data: by name.
-        datamodule: (root, workers) → what gives the batches.
-        workers: numbers of loader processes to try.
-        batches: to time, each time.
-        rounds: how often.
-        progress: called with (measurements made, measurements in all).
+        data: Name → data set to write into a temporary folder, or the folder of an existing one.
+        datamodule: Function from (root, workers) to the data module.
+        workers: Numbers of loader processes.
+        batches: Batches per measurement.
+        rounds: Number of rounds.
+        progress: Called with (measurements done, all measurements).
     """
-    rows = []
-    for done, (name, source) in enumerate(data.items()):
+    done, total = 0, len(data) * rounds * len(workers)
+    for name, source in data.items():
         with tempfile.TemporaryDirectory() as temporary:
-            root = source.root(Path(temporary), progress)
-            ways = (2 + len(workers)) * rounds
+            root = Path(temporary if isinstance(source, SyntheticData) else source)
+            if isinstance(source, SyntheticData):
+                source.write(root, lambda done, total: None)
+            modules = {count: datamodule(root=root, workers=count) for count in workers}
+            seconds: dict[int, list[Seconds]] = {count: [] for count in workers}
+            for _ in range(rounds):
+                for count, module in modules.items():
+                    seconds[count].append(load(module, batches))
+                    done += 1
+                    progress(done, total)
+            manifest = Manifest.load(root)
+            for count, module in modules.items():
+                yield {"data": name, **_figures(manifest, module, batches * module.scenes_per_step, seconds[count])}
 
-            def made(count: int, before: int = done * ways, total: int = len(data) * ways) -> None:
-                progress(before + count, total)
 
-            rows += _rows(name, root, datamodule, workers, batches, rounds, made)
-    return rows
-
-
-def _rows(
-    name: str,
-    root: Path,
-    datamodule: Callable[..., SceneDataModule],
-    workers: Sequence[int],
-    batches: int,
-    rounds: int,
-    made: Callable[[int], None],
-) -> list[Row]:
-    settings = datamodule(root=root, workers=0)
-    data = _DataSet(Manifest.load(root), batches, settings.scenes_per_step, settings.seed)
-    ways: dict[tuple[str, int], Callable[[], tuple[float, float]]] = {
-        ("positioned reads", 0): lambda: _positioned(data),
-        ("webdataset, undecoded", 0): lambda: _sequential(data),
-        **{("training loader", n): lambda n=n: _loader(data, datamodule(root=root, workers=n)) for n in workers},
-    }
-    seconds: dict[tuple[str, int], list[tuple[float, float]]] = {way: [] for way in ways}
-    for turn in range(rounds):
-        for number, (way, run) in enumerate(ways.items(), start=1):
-            seconds[way].append(run())
-            made(turn * len(ways) + number)
-    rates = {way: data.scenes / median(wall for wall, _ in times) for way, times in seconds.items()}
-    cpu = {way: median(cpu for _, cpu in times) / data.scenes for way, times in seconds.items()}
-    entries = data.entries
+def _figures(manifest: Manifest, datamodule: SceneDataModule, scenes: int, seconds: Sequence[Seconds]) -> Row:
+    entries = manifest.samples("train")
     megabytes = sum(entry.size for entry in entries) / len(entries) / 1e6
-    rows = []
-    for (reader, processes), scenes in rates.items():
-        images = scenes * settings.views_per_scene
-        rows.append(
-            {
-                "data": name,
-                "resolution": data.manifest.settings["data"]["resolution"],
-                "triangles": round(sum(entry.triangles for entry in entries) / len(entries)),
-                "MB_per_scene": megabytes,
-                "reader": reader,
-                "workers": processes,
-                "scenes_per_s": scenes,
-                "images_per_s": images,
-                "MB_per_s": scenes * megabytes,
-                "cpu_ms_per_scene": 1e3 * cpu[reader, processes],
-                "of_positioned_reads": scenes / rates["positioned reads", 0],
-                "times_paper": images / PAPER_IMAGES_PER_SECOND,
-            }
-        )
-    return rows
+    rate = scenes / median(wall for wall, _ in seconds)
+    images = rate * datamodule.views_per_scene
+    return {
+        "resolution": manifest.settings["data"]["resolution"],
+        "triangles": round(sum(entry.triangles for entry in entries) / len(entries)),
+        "MB_per_scene": megabytes,
+        "workers": datamodule.workers,
+        "scenes_per_s": rate,
+        "images_per_s": images,
+        "MB_per_s": rate * megabytes,
+        "cpu_ms_per_scene": 1e3 * median(cpu for _, cpu in seconds) / scenes,
+        "times_paper": images / PAPER_IMAGES_PER_SECOND,
+    }
 
 
-def _positioned(data: _DataSet) -> tuple[float, float]:
-    """Wall and CPU seconds to read the samples' bytes in training's order, each from where the index says."""
-    shards = data.manifest.shards("train")
-    where = [(shard.file, entry) for shard in shards for entry in data.manifest.index(shard).samples]
-    files = {shard.file: os.open(data.manifest.root / shard.file, os.O_RDONLY) for shard in shards}
-    order = ShuffledOrder([shard.samples for shard in shards], data.seed, window=len(shards))
-    watch = Stopwatch()
-    for _, index in islice(order.draws(), data.scenes):
-        file, entry = where[index]
-        os.pread(files[file], entry.size, entry.offset)
-    elapsed = watch.read()
-    for descriptor in files.values():
-        os.close(descriptor)
+def load(datamodule: SceneDataModule, batches: int) -> Seconds:
+    """Load batches while every loader process has work before and after."""
+    ahead = 1 + _PREFETCHED * datamodule.workers
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        datamodule.trainer = L.Trainer(
+            max_steps=batches + 2 * ahead, accelerator="cpu", devices=1, logger=False, enable_checkpointing=False,
+            enable_progress_bar=False,
+        )  # fmt: skip
+        loader = iter(datamodule.train_dataloader())
+        for _ in range(ahead):
+            next(loader)
+        begin = _now()
+        for _ in range(batches):
+            next(loader)
+        elapsed = _since(begin)
+        for _ in loader:  # PyTorch's processes may abort if they are stopped while they send
+            pass
     return elapsed
 
 
-def _sequential(data: _DataSet) -> tuple[float, float]:
-    """Wall and CPU seconds to take the samples' bytes out of the tars, one after the other."""
-    urls = [str(data.manifest.root / shard.file) for shard in data.manifest.shards("train")]
-    watch = Stopwatch()
-    for _ in islice(_endless(urls), data.scenes):
-        pass
-    return watch.read()
+def _now() -> Seconds:
+    this = psutil.Process()
+    times = [process.cpu_times() for process in (this, *this.children(recursive=True))]
+    return time.perf_counter(), sum(t.user + t.system for t in times)
 
 
-def _endless(urls: list[str]) -> Iterator[dict]:
-    return chain.from_iterable(webdataset.WebDataset(tars, shardshuffle=False) for tars in repeat(urls))
-
-
-def _loader(data: _DataSet, datamodule: SceneDataModule) -> tuple[float, float]:
-    """Wall and CPU seconds of the training loader."""
-    pace = loader_pace(datamodule, data.batches)
-    return pace.seconds, pace.cpu_seconds
+def _since(begin: Seconds) -> Seconds:
+    wall, cpu = _now()
+    return wall - begin[0], cpu - begin[1]

@@ -15,11 +15,11 @@ tags: [rendering, global-illumination, renderformer]
 
 # {method}
 
-A transformer that renders global illumination of triangle meshes in one forward pass.
+Renders global illumination of triangle meshes: {system}.
 
 | | |
 |---|---|
-| Parameters | {parameters:.1f} million |
+| Parameters | {parameters:.2f} million |
 | Trained on | {dataset} (manifest {data_manifest}), {height} × {width} pixels |
 | Steps, seed | {steps}, {seed} |
 | Code | {commit} |
@@ -33,9 +33,15 @@ from rfpp import Renderer, load_scene
 images = Renderer.load("{folder}").render(load_scene("scene.json"))  # [views, height, width, 3], linear radiance
 ```
 
-It knows what it was trained on: scenes in [-0.5, 0.5]³ lit by emissive triangles, diffuse and glossy surfaces, no
+Trained for scenes in [-0.5, 0.5]³ lit by emissive triangles, diffuse and glossy surfaces, no
 textures finer than a triangle, no transparency.
 {notes}"""
+
+#: Is it radiosity? → description.
+_SYSTEMS = {
+    True: "ray-cast radiosity with a learned refinement of the image",
+    False: "a transformer, in one forward pass",
+}
 
 
 def model_card(
@@ -45,18 +51,20 @@ def model_card(
     metrics: Mapping[str, Mapping[str, float | str]],
     notes: str = "",
 ) -> str:
-    """Markdown with the front matter that the Hugging Face hub reads.
+    """Return Markdown with the front matter that the Hugging Face hub reads.
 
     Args:
-        parameters: how many numbers were learned.
-        folder: its name.
-        metrics: row → metric → number, as an evaluation found them; may be empty.
-        notes: Markdown that ends the card.
+        info: Description of the model.
+        parameters: Number of learned parameters.
+        folder: Name of the model's folder.
+        metrics: Row → metric → number from an evaluation; may be empty.
+        notes: Markdown at the end of the card.
     """
     height, width = info.resolution
     unknown = "unknown"
     return _CARD.format(
         method=info.method,
+        system=_SYSTEMS[str(info.model.get("_target_")).startswith("rfpp.radiosity.")],
         parameters=parameters / 1e6,
         dataset=info.dataset,
         data_manifest=info.data_manifest[:12],

@@ -1,1 +1,1 @@
-"""A trained network on stored scenes."""
+"""Evaluation on stored scenes: scores, tables and reports."""

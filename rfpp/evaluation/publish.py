@@ -12,28 +12,31 @@ from pathlib import Path
 
 from rfpp.checkpoint.loading import CheckpointInfo
 from rfpp.errors import UserError
-from rfpp.evaluation.measuring.evaluation_collection import read_evaluations
-from rfpp.evaluation.measuring.evaluation_file import Evaluation
+from rfpp.evaluation.measuring.evaluation_file import Evaluation, read_evaluations
 from rfpp.evaluation.measuring.number_text import interval_text, number_text
 from rfpp.evaluation.measuring.records import MODEL
 from rfpp.inference.renderer import Renderer
 
 DESCRIPTION = """\
-Writes the best checkpoint of a training, or what launch/refine.py made, as safetensors in bfloat16, its configuration,
-and a model card with every evaluation that lies in the run's folder, the trivial baselines beside the network."""
+Write the best checkpoint of a training, or the output of launch/refine.py, as a model folder: weights in bfloat16, its
+configuration, and a model card with all evaluations in the run's folder."""
 EXAMPLE = "example: python -m rfpp.evaluation.publish data/runs/quickstart/latest data/models/mine --notes limits.md"
 
 
 def publish(run: Path, folder: Path, notes: str = "") -> Path:
-    """Write `folder`; returns it.
+    """Write a model folder.
 
     Args:
-        run: folder of a training that was evaluated, or of a refinement.
-        notes: Markdown for the card: what the network cannot do.
+        run: Folder of an evaluated training or refinement.
+        folder: Folder to write.
+        notes: Markdown for the card, e.g. known limits.
+
+    Returns:
+        The model folder.
 
     Raises:
-        CheckpointError: the run has no network that loads.
-        UserError: there is no evaluation, one is of another network, or the folder cannot be written.
+        CheckpointError: If the run has no checkpoint that loads.
+        UserError: If there is no evaluation, one belongs to another checkpoint, or the folder cannot be written.
     """
     refined, best = run / "refined", run / "checkpoints" / "best.ckpt"
     renderer = Renderer.load(refined if refined.is_dir() else best, "cpu", "bf16")
@@ -47,43 +50,39 @@ def publish(run: Path, folder: Path, notes: str = "") -> Path:
 
 
 def _rows(evaluation: Evaluation) -> dict[str, Mapping[str, str]]:
-    """A row for every predictor on every split, numbers with their intervals."""
+    """Return a row for every predictor on every split, with intervals."""
     rows = {}
     for (split, predictor), values in evaluation.means.items():
-        who = evaluation.method if predictor == MODEL else predictor
+        method = evaluation.method if predictor == MODEL else predictor
         scenes = next(iter(values.values())).scenes
-        rows[f"{evaluation.data}, {split} ({scenes} scenes): {who}"] = {
+        rows[f"{evaluation.data}, {split} ({scenes} scenes): {method}"] = {
             name: f"{number_text(name, value.mean)} ({interval_text(name, value)})" for name, value in values.items()
         }
     return rows
 
 
 def _require_same(info: CheckpointInfo, evaluation: Evaluation) -> None:
-    for name, mine, its in (
-        ("method", info.method, evaluation.method),
-        ("data set", info.dataset, evaluation.trained_on),
-        ("seed", info.seed, evaluation.seed),
-        ("steps", info.steps, evaluation.steps),
-        ("commit", info.commit, evaluation.commit),
-    ):
-        if mine != its:
+    facts = {"method": "method", "dataset": "trained_on", "seed": "seed", "steps": "steps", "commit": "commit"}
+    for name, theirs in facts.items():
+        expected, found = getattr(info, name), getattr(evaluation, theirs)
+        if expected != found:
             raise UserError(
-                f"evaluation on '{evaluation.data}': of a network with {name} {its!r}, the checkpoint has {mine!r}: "
+                f"evaluation on '{evaluation.data}': its checkpoint had {name} {found!r}, this one has {expected!r}: "
                 "evaluate again with launch/evaluate.py"
             )
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """The command; `arguments` are those of the command line unless given."""
+    """Publish a run; `arguments` default to the command line's."""
     parser = argparse.ArgumentParser(
         "python -m rfpp.evaluation.publish",
         description=DESCRIPTION,
         epilog=EXAMPLE,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("run", type=Path, help="folder of a run, as launch/train.py or launch/refine.py made it")
+    parser.add_argument("run", type=Path, help="folder of a run of launch/train.py or launch/refine.py")
     parser.add_argument("folder", type=Path, help="folder to write")
-    parser.add_argument("--notes", type=Path, metavar="FILE", help="Markdown for the card: what it cannot do")
+    parser.add_argument("--notes", type=Path, metavar="FILE", help="Markdown for the card, e.g. known limits")
     chosen = parser.parse_args(arguments)
     try:
         notes = chosen.notes.read_text(encoding="utf-8") if chosen.notes else ""

@@ -229,9 +229,7 @@ class Renderer:
             UserError: If it is not.
         """
         if not isinstance(self.engine, RadiosityEngine):
-            raise UserError(
-                f"{parts}=separate: this network's image is not a sum over {parts}: use checkpoint=radiosity"
-            )
+            raise UserError(f"{parts}: this network's image is not a sum over them: use checkpoint=radiosity")
         return self.engine
 
     def _checked(self, scene: PackedScene, images: Iterator[np.ndarray]) -> Iterator[np.ndarray]:

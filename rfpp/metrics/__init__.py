@@ -1,1 +1,1 @@
-"""Image metrics, and trivial baselines to compare with."""
+"""Image metrics and trivial baselines."""

@@ -1,7 +1,4 @@
-"""Trivial baselines for comparison with learned results.
-
-All are fitted on training views and predict linear radiance from what the G-buffer holds (`CHANNELS`).
-"""
+"""Trivial baselines for comparison with learned results: linear radiance from G-buffer channels."""
 
 from __future__ import annotations
 
@@ -16,26 +13,30 @@ from rfpp.imaging.radiance import log_decode, log_encode
 
 Images = Float[Tensor, "n 3 h w"]
 
-#: The G-buffer channels that predictors are given, all of three numbers.
+#: G-buffer channels that baselines read, of three numbers each.
 CHANNELS = ("albedo", "specular", "direct_diffuse", "direct_glossy", "reflected_light")
 
 
 class Baseline(ABC):
-    """A predictor without a network."""
+    """A predictor that reads G-buffer channels.
+
+    Attributes:
+        name: Name in tables.
+    """
 
     name: str
 
     def fit(self, samples: Iterable[tuple[Mapping[str, Images], Images]]) -> Baseline:
-        """Learn from (channels, linear radiance) pairs; returns self."""
+        """Fit to training views, pairs of channels and linear radiance; return self."""
         return self
 
     @abstractmethod
     def predict(self, gbuffer: Mapping[str, Images]) -> Images:
-        """Linear radiance of views with these channels."""
+        """Predict linear radiance from channels."""
 
 
 class Black(Baseline):
-    """Predicts no light at all."""
+    """No light at all."""
 
     name = "black"
 
@@ -43,29 +44,28 @@ class Black(Baseline):
         return torch.zeros_like(gbuffer["albedo"])
 
 
-class DirectLightAlone(Baseline):
-    """Predicts the first bounce, exact but for the noise of its samples, and nothing of what follows."""
+class DirectLight(Baseline):
+    """Direct light without any indirect light. Exact, except for noise."""
 
-    name = "direct light alone"
+    name = "direct light"
 
     def predict(self, gbuffer: Mapping[str, Images]) -> Images:
         return gbuffer["albedo"] * gbuffer["direct_diffuse"] + gbuffer["specular"] * gbuffer["direct_glossy"]
 
 
-class DirectLightReflected(DirectLightAlone):
-    """Predicts the first bounce and its reflection in shiny surfaces, and nothing of what follows."""
+class DirectLightAndReflections(DirectLight):
+    """Direct light and its reflection in glossy surfaces."""
 
-    name = "reflections too"
+    name = "direct light and reflections"
 
     def predict(self, gbuffer: Mapping[str, Images]) -> Images:
         return super().predict(gbuffer) + gbuffer["specular"] * gbuffer["reflected_light"]
 
 
 class MeanImage(Baseline):
-    """Predicts, for every view, the mean training image.
+    """Mean training image, the same for every view.
 
-    The mean is taken of log10(1 + radiance), where the error is measured too; a linear mean would be drawn up by a
-    few bright highlights and be a weaker opponent.
+    The mean is taken of log10(1 + radiance), like the error. Bright highlights would dominate a linear mean.
     """
 
     name = "mean image"
@@ -85,16 +85,16 @@ class MeanImage(Baseline):
 
 
 class AlbedoTimesConstant(Baseline):
-    """Predicts albedo times one number: every surface equally lit.
+    """Albedo times one number, as if every surface were equally lit.
 
     The number minimises the mean |log10(1 + c a) - log10(1 + y)| over a regular subset of the training pixels.
     """
 
     name = "albedo x constant"
 
-    #: Pixels read per image; a few thousand images give far more than one number needs.
+    #: Pixels read per image.
     PIXELS_PER_IMAGE = 1024
-    #: Range searched, in powers of ten of the constant.
+    #: Search range, in powers of ten of the constant.
     SEARCH = (-3.0, 2.0)
 
     def fit(self, samples: Iterable[tuple[Mapping[str, Images], Images]]) -> AlbedoTimesConstant:
@@ -102,11 +102,11 @@ class AlbedoTimesConstant(Baseline):
         for gbuffer, image in samples:
             albedo = gbuffer["albedo"]
             pixels = albedo.shape[-2] * albedo.shape[-1]
-            stride = pixels // self.PIXELS_PER_IMAGE | 1  # odd, so as not to read the same columns in every row
+            stride = pixels // self.PIXELS_PER_IMAGE | 1  # odd, to avoid the same columns in every row
             albedos.append(albedo.float().flatten(2)[..., ::stride].flatten())
             targets.append(log_encode(image.float()).flatten(2)[..., ::stride].flatten())
         albedo, target = torch.cat(albedos), torch.cat(targets)
-        visible = albedo > 0  # elsewhere the prediction is zero whatever the constant
+        visible = albedo > 0  # elsewhere the prediction is zero for any constant
         self.constant = _minimiser(albedo[visible], target[visible], *self.SEARCH)
         return self
 
@@ -115,7 +115,7 @@ class AlbedoTimesConstant(Baseline):
 
 
 def _minimiser(albedo: Tensor, target_log: Tensor, low: float, high: float) -> float:
-    """The c in 10^[low, high] of least log-L1: a grid in the exponent, thrice refined about its best point."""
+    """Return c in 10^[low, high] with the least log-L1: a grid over exponents, refined three times."""
     for _ in range(4):
         exponents = torch.linspace(low, high, 21).tolist()
         losses = [(log_encode(10**e * albedo) - target_log).abs().mean().item() for e in exponents]

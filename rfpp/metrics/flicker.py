@@ -1,4 +1,4 @@
-"""Flicker: error of the frame-to-frame changes of a predicted film."""
+"""Flicker: error of the frame-to-frame changes of a predicted animation."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ Frames = Iterable[Float[np.ndarray, "h w 3"]]
 
 
 def flicker(predictions: Frames, references: Frames) -> float:
-    """Σ|Δp − Δr| / Σ|Δr|: the error of the changes between consecutive frames, as a share of the reference's own.
+    """Compute Σ|Δp − Δr| / Σ|Δr|, the error of changes between consecutive frames relative to the reference's changes.
 
-    p and r are clamp(log2(1 + I), 0, 1) of predicted and reference radiance, Δ the difference of a frame from the one
-    before, and both sums run over all pixels, colours and pairs of frames. 0 is a film whose every change is right,
-    whatever its constant errors; 1 is what a still picture scores; larger is a film that changes where it should not.
-    The reference's remaining noise counts as change of its own. Where the reference does not change at all the result
-    is infinite, or NaN if the prediction does not change either.
+    p and r are clamp(log2(1 + I), 0, 1) of predicted and reference radiance, and Δ is the difference between a frame
+    and the one before. The sums cover all pixels, colours and pairs of frames. 0 means that all changes are correct,
+    regardless of constant errors; a still image scores 1. Noise in the reference counts as change. The result is
+    infinite if the reference never changes, or NaN if the prediction does not change either.
 
     Args:
-        predictions, references: linear radiance of the same frames, in order; read two at a time.
+        predictions: Linear radiance of the frames, read two at a time.
+        references: Linear radiance of the same frames, read two at a time.
     """
     error = change = 0.0
     frames = zip(map(_tone_mapped, predictions), map(_tone_mapped, references), strict=True)

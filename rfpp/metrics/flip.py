@@ -1,4 +1,4 @@
-"""HDR-ꟻLIP: the difference that a person sees when two images are shown in turn."""
+"""HDR-ꟻLIP: perceived difference between two images that are shown alternately."""
 
 from __future__ import annotations
 
@@ -12,24 +12,25 @@ from rfpp.errors import MissingDependencyError
 
 #: Rec. 709 luminance.
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)
-#: Stops around 0, for a reference whose own brightness does not say how it would be exposed.
+#: Exposures around 0 stops, for references of one brightness.
 _UNGUIDED = {"startExposure": -1.0, "stopExposure": 1.0, "numExposures": 3}
 
 
 def flip(prediction: Float[np.ndarray, "h w 3"], reference: Float[np.ndarray, "h w 3"]) -> Float[np.ndarray, "h w"]:
-    """The error of each pixel, from 0 (none is seen) to 1; the image's ꟻLIP is the mean.
+    """Compute the error of each pixel, from 0 (invisible) to 1; the image's ꟻLIP is their mean.
 
-    Andersson et al. 2021, by its authors' `flip-evaluator`: the largest ꟻLIP over a range of exposures (ACES tone map)
-    that follows from the reference's luminance, at 67 pixels per degree. A pixel that is not finite has error 1.
+    Andersson et al. 2021, by their package `flip-evaluator`: the largest ꟻLIP over a range of exposures (ACES tone
+    map) derived from the reference's luminance, at 67 pixels per degree. A non-finite pixel has error 1.
 
     Args:
-        prediction, reference: linear radiance.
+        prediction: Linear radiance.
+        reference: Linear radiance.
 
     Raises:
-        MissingDependencyError: the library is not installed.
+        MissingDependencyError: If the library is not installed.
     """
     images = (np.ascontiguousarray(image, dtype=np.float32) for image in (reference, prediction))
-    # The library ends the whole process where the range would be empty: in an image of one brightness.
+    # the library exits the process if the range of exposures is empty, as in an image of one brightness
     luminance = reference @ _LUMINANCE
     guided = luminance.max() > 1.001 * np.median(luminance)
     error, _, _ = flip_library().evaluate(
@@ -40,7 +41,7 @@ def flip(prediction: Float[np.ndarray, "h w 3"], reference: Float[np.ndarray, "h
 
 
 def flip_library() -> ModuleType:
-    """The library that `flip` needs. Raises MissingDependencyError."""
+    """Import the library that `flip` needs. Raises MissingDependencyError if it is not installed."""
     try:
         return import_module("flip_evaluator")
     except ImportError as error:

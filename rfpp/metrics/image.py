@@ -1,6 +1,6 @@
 """Image metrics, one value per image, on linear HDR radiance.
 
-What each metric is, which way it improves, and which tone map and epsilon it uses is stated once, in METRICS.
+`METRICS` states the formula of each metric, its direction, its tone map and its epsilon.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from rfpp.imaging.radiance import log_encode, perceptual
 from rfpp.metrics.l1_parts import GLOSSY, SMOOTH, l1_parts
 from rfpp.metrics.lpips import LPIPS
 
-#: Keeps the relative error of nearly black pixels bounded.
+#: Bounds the relative error of nearly black pixels.
 MAPE_EPS = 0.01
 
-#: How `perceptual` is written beneath a table.
+#: Formula of `perceptual` in tables.
 TONE_MAP = "clamp(log2(1 + I), 0, 1)"
 
 Images = Float[Tensor, "n 3 h w"]
@@ -31,13 +31,13 @@ Function = Callable[[Images, Images], PerImage]
 
 @dataclass(frozen=True)
 class Metric:
-    """How a metric is shown and read.
+    """Description of a metric.
 
     Attributes:
-        label: column heading.
-        higher_is_better: direction.
-        definition: formula with its tone map and epsilon.
-        decimals: digits in a table.
+        label: Name in tables.
+        higher_is_better: Whether larger values are better.
+        definition: Formula with tone map and epsilon.
+        decimals: Digits in tables.
     """
 
     label: str
@@ -47,7 +47,7 @@ class Metric:
 
     @property
     def heading(self) -> str:
-        """Of a column: the label and an arrow towards better values."""
+        """Column heading: the label and an arrow towards better values."""
         return f"{self.label} {'↑' if self.higher_is_better else '↓'}"
 
 
@@ -62,51 +62,51 @@ METRICS = MappingProxyType(
         "gradient": Metric("grad.", False, f"mean |∂I(x) - ∂I(y)| along rows and columns of {TONE_MAP}", 4),
         "l1_direct": Metric("direct", False, "L1 of direct light: mean |x - y| d, d: its share in y, linear HDR", 4),
         "l1_indirect": Metric("indir.", False, "L1 of indirect light: mean |x - y| (1 - d), linear HDR", 4),
-        "l1_smooth": Metric("smooth", False, f"share in L1 of surfaces of a roughness below {SMOOTH}", 4),
-        "l1_glossy": Metric("glossy", False, f"share in L1 of surfaces of a roughness from {SMOOTH} to {GLOSSY}", 4),
-        "l1_rough": Metric("rough", False, f"share in L1 of surfaces of a roughness of {GLOSSY} and more", 4),
+        "l1_smooth": Metric("smooth", False, f"part of L1 from surfaces with roughness below {SMOOTH}", 4),
+        "l1_glossy": Metric("glossy", False, f"part of L1 from surfaces with roughness from {SMOOTH} to {GLOSSY}", 4),
+        "l1_rough": Metric("rough", False, f"part of L1 from surfaces with roughness of {GLOSSY} and more", 4),
     }
 )
 
 
 def log_l1(prediction: Images, reference: Images) -> PerImage:
-    """mean |log10(1 + x) - log10(1 + y)|."""
+    """Compute mean |log10(1 + x) - log10(1 + y)|."""
     return (log_encode(prediction) - log_encode(reference)).abs().flatten(1).mean(dim=1)
 
 
 def l1(prediction: Images, reference: Images) -> PerImage:
-    """mean |x - y| of linear radiance."""
+    """Compute mean |x - y| of linear radiance."""
     return (prediction - reference).abs().flatten(1).mean(dim=1)
 
 
 def mape(prediction: Images, reference: Images) -> PerImage:
-    """mean |x - y| / (|y| + 0.01) of linear radiance, a fraction (not a percentage)."""
+    """Compute mean |x - y| / (|y| + 0.01) of linear radiance, as a fraction."""
     return ((prediction - reference).abs() / (reference.abs() + MAPE_EPS)).flatten(1).mean(dim=1)
 
 
 def psnr(prediction: Images, reference: Images) -> PerImage:
-    """Peak signal-to-noise ratio in dB of tone-mapped images; infinite for equal ones."""
+    """Compute the peak signal-to-noise ratio of tone-mapped images in dB; infinite for equal images."""
     error = (perceptual(prediction) - perceptual(reference)).square().flatten(1).mean(dim=1)
     return -10 * torch.log10(error)
 
 
 def ssim(prediction: Images, reference: Images) -> PerImage:
-    """Structural similarity (Wang et al. 2004) of tone-mapped images.
+    """Compute the structural similarity (Wang et al. 2004) of tone-mapped images.
 
-    The mean covers every pixel: windows at the border see the image mirrored. skimage leaves the border out, so its
-    numbers differ slightly.
+    The mean covers every pixel; the image is mirrored at its border. skimage omits the border, so its numbers differ
+    slightly.
     """
     similarity = structural_similarity_index_measure(
         perceptual(prediction), perceptual(reference), data_range=1.0, reduction="none"
     )
-    assert isinstance(similarity, Tensor)  # a pair where the full image is asked for
+    assert isinstance(similarity, Tensor)  # a tuple only with return_full_image
     return similarity.reshape(len(prediction))
 
 
 def gradient(prediction: Images, reference: Images) -> PerImage:
-    """How far edges and textures are from the reference's: mean |∂I(x) - ∂I(y)| of tone-mapped images.
+    """Compute the error of edges and textures: mean |∂I(x) - ∂I(y)| of tone-mapped images.
 
-    ∂ is the difference of neighbours, along rows and along columns; the two means are averaged.
+    ∂ is the difference of neighbouring pixels. Means along rows and along columns are averaged.
     """
     difference = perceptual(prediction) - perceptual(reference)
     rows, columns = (difference.diff(dim=dim).abs().flatten(1).mean(dim=1) for dim in (-2, -1))
@@ -117,8 +117,8 @@ class ImageMetrics:
     """All metrics of METRICS for a batch of images.
 
     Args:
-        lpips: the LPIPS to use, or None to leave the column out.
-        detailed: also `gradient` and `l1_parts`.
+        lpips: LPIPS metric; None omits it.
+        detailed: Whether to add `gradient` and `l1_parts`.
     """
 
     def __init__(self, lpips: LPIPS | None, detailed: bool = False) -> None:
@@ -134,9 +134,15 @@ class ImageMetrics:
     def __call__(
         self, prediction: Images, reference: Images, gbuffer: Mapping[str, Tensor] | None = None
     ) -> dict[str, PerImage]:
-        """Values by metric name, in float32 whatever the inputs or the surrounding autocast.
+        """Compute all metrics in float32, regardless of the inputs' precision and of autocast.
 
-        `gbuffer` is needed for detailed ones, see `l1_parts`.
+        Args:
+            prediction: Linear radiance.
+            reference: Linear radiance.
+            gbuffer: Channels for detailed metrics, see `l1_parts`.
+
+        Returns:
+            Values by metric name.
         """
         with torch.autocast(prediction.device.type, enabled=False):
             x, y = prediction.float(), reference.float()
@@ -144,5 +150,5 @@ class ImageMetrics:
             if not self.detailed:
                 return values
             if gbuffer is None:
-                raise ValueError("detailed metrics read a G-buffer, see l1_parts")
+                raise ValueError("detailed metrics need a G-buffer, see l1_parts")
             return values | l1_parts(x, y, gbuffer)

@@ -8,28 +8,33 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from rfpp.metrics.baselines import DirectLightAlone
+from rfpp.metrics.baselines import DirectLight
 
 Images = Float[Tensor, "n 3 h w"]
 PerImage = Float[Tensor, " n"]
 
-#: The G-buffer channels that tell the parts apart, besides those of the baselines.
+#: G-buffer channels that separate the parts, besides those of the baselines.
 CHANNELS = ("roughness", "depth")
-#: Below which roughness a surface counts as smooth, and as glossy.
+#: Upper roughness of smooth and of glossy surfaces.
 SMOOTH, GLOSSY = 0.25, 0.5
 
 
 def l1_parts(prediction: Images, reference: Images, gbuffer: Mapping[str, Tensor]) -> dict[str, PerImage]:
-    """L1 of linear radiance by bounce (two parts) and by roughness (three), by the names of METRICS.
+    """Split L1 of linear radiance by bounce (two parts) and by roughness (three).
 
-    An image does not say which of its light came straight from the lights, so the error of each pixel and colour is
-    divided as the reference is: d = min(direct / reference, 1). Where nothing is hit, the surface counts as rough.
+    The error of each pixel and colour is divided like the reference: d = min(direct / reference, 1) is the share of
+    direct light. Pixels without a surface count as rough.
 
     Args:
-        gbuffer: the channels of the baselines and of `CHANNELS`, [N, 3 or 1, H, W] each.
+        prediction: Linear radiance.
+        reference: Linear radiance.
+        gbuffer: Channels of the baselines and of `CHANNELS`, [N, 3 or 1, H, W] each.
+
+    Returns:
+        Values by the names in `METRICS`.
     """
     error = (prediction - reference).abs()
-    direct = DirectLightAlone().predict(gbuffer).float()
+    direct = DirectLight().predict(gbuffer).float()
     share = (direct / reference.clamp_min(1e-9)).clamp(0, 1)
     roughness = torch.where(gbuffer["depth"] > 0, gbuffer["roughness"], 1.0)
     smooth, rough = roughness < SMOOTH, roughness >= GLOSSY

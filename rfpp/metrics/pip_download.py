@@ -1,7 +1,7 @@
 """Download one hash-pinned source package with pip.
 
-pip has no way to fetch a source package without preparing its metadata, which runs the package's build script. With
-`--require-hashes` the script is one that was read before its hash was written down: anything else is refused unopened.
+pip runs a source package's build script even to download it. `--require-hashes` ensures that it is the script that was
+reviewed; anything else is refused unopened.
 """
 
 from __future__ import annotations
@@ -13,14 +13,14 @@ from pathlib import Path
 
 
 class DownloadError(Exception):
-    """pip is missing or could not deliver the file."""
+    """pip is missing or the download failed."""
 
 
 def download_sdist(name: str, version: str, sha256: str) -> bytes:
-    """The bytes of `<name>-<version>.tar.gz` whose hash is `sha256`, from the indexes that pip is configured to use.
+    """Download `<name>-<version>.tar.gz` with this hash from the indexes that pip is configured to use.
 
     Raises:
-        DownloadError: in one line, what pip said.
+        DownloadError: If pip fails, with its message in one line.
     """
     with tempfile.TemporaryDirectory() as folder:
         requirements = Path(folder) / "requirements.txt"
@@ -34,7 +34,7 @@ def download_sdist(name: str, version: str, sha256: str) -> bytes:
 
 
 def _reason(output: str) -> str:
-    """The first error in pip's output, else its last line; pip hides passwords in addresses itself."""
+    """Return the first error in pip's output, else its last line. pip hides passwords in URLs."""
     lines = [line.strip() for line in output.splitlines() if line.strip()]
     errors = [line.removeprefix("ERROR: ") for line in lines if line.startswith("ERROR: ")]
     return (errors or lines[-1:] or ["no answer"])[0]

@@ -11,8 +11,8 @@ from torch.utils.checkpoint import checkpoint
 
 from rfpp.batch import RaggedBatch
 from rfpp.errors import UserError
-from rfpp.model import attention
 from rfpp.model.hoct import ObjectTokens
+from rfpp.model.layers import attention
 from rfpp.model.layers.block import CrossBlock, SelfBlock
 from rfpp.model.layers.scene_tokens import SceneTokens
 from rfpp.model.renderformer_pp import RenderFormerPP

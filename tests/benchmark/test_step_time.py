@@ -1,16 +1,16 @@
-"""The model of a training step's time, where the answer is known."""
+"""The model of the time of a training step, in cases with known answers."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from rfpp.training.dealing import BySize, Dealing, InOrder
 
 from rfpp.benchmark.step_time import BACKWARD_SHARE, Cluster, Work, all_reduce_seconds, slowest_share, step_time
-from rfpp.training.dealing import BySize, Dealing, InOrder
 
 WORK = Work(
     triangles=np.full(10, 100), scene_flops=np.full(10, 3e12), gradient_bytes=8e8, scenes=16, scenes_at_once=None,
-    dealing=InOrder(), views=2,
+    partition=InOrder(), views=2,
 )  # fmt: skip
 CLUSTER = Cluster(
     devices_per_node=8, flops_per_second=1e12, seconds_per_batch=0.5, device_bandwidth=1e11, node_bandwidth=1e10,
@@ -18,46 +18,46 @@ CLUSTER = Cluster(
 )  # fmt: skip
 
 
-def test_one_device_computes_and_neither_waits_nor_communicates():
+def test_one_device_neither_waits_nor_communicates():
     time = step_time(CLUSTER, WORK, 1)
     assert (time.compute, time.waiting, time.communication) == pytest.approx((16 * 3 + 0.5, 0, 0))
     assert time.total == time.compute
 
 
-def test_equal_scenes_are_divided_and_nobody_waits():
+def test_devices_do_not_wait_for_equal_scenes():
     time = step_time(CLUSTER, WORK, 4)
     assert time.compute == pytest.approx(4 * 3 + 0.5)
     assert time.waiting == pytest.approx(0)
 
 
-def test_what_a_device_cannot_hold_comes_after_at_the_price_of_a_batch_each():
+def test_accumulated_batches_cost_their_fixed_time_each():
     assert step_time(CLUSTER, replace(WORK, scenes_at_once=3), 4).compute == pytest.approx(4 * 3 + 2 * 0.5)
 
 
-def late(sizes: np.ndarray, devices: int, share: int, dealing: Dealing) -> float:
-    """How late the slowest device is where triangles and operations are the same."""
-    work = replace(WORK, triangles=sizes, scene_flops=sizes.astype(float), scenes=devices * share, dealing=dealing)
+def relative_load(sizes: np.ndarray, devices: int, share: int, partition: Dealing) -> float:
+    """Return the load of the slowest device, with operations proportional to triangles."""
+    work = replace(WORK, triangles=sizes, scene_flops=sizes.astype(float), scenes=devices * share, partition=partition)
     return slowest_share(work, devices)
 
 
-@pytest.mark.parametrize("dealing", [InOrder(), BySize()])
-def test_the_slowest_of_two_devices_is_late_by_what_chance_says(dealing):
+@pytest.mark.parametrize("partition", [InOrder(), BySize()])
+def test_the_slowest_of_two_devices_has_the_expected_maximum(partition):
     """One scene each, 1 or 3 with even chances: the maximum's mean is 2.5 where the mean is 2."""
-    assert late(np.array([1, 3]), 2, 1, dealing) == pytest.approx(1.25, abs=0.02)
+    assert relative_load(np.array([1, 3]), 2, 1, partition) == pytest.approx(1.25, abs=0.02)
 
 
-def test_dealing_by_size_leaves_what_cannot_be_divided():
+def test_partition_by_size_leaves_the_indivisible_rest():
     """Two scenes each, 1 or 3 with even chances: an odd number of large ones, every other time, is 1 over the mean."""
-    assert late(np.array([1, 3]), 2, 2, BySize()) == pytest.approx(4.5 / 4, abs=0.02)
-    assert late(np.array([1, 3]), 2, 2, InOrder()) == pytest.approx(4.75 / 4, abs=0.02)
+    assert relative_load(np.array([1, 3]), 2, 2, BySize()) == pytest.approx(4.5 / 4, abs=0.02)
+    assert relative_load(np.array([1, 3]), 2, 2, InOrder()) == pytest.approx(4.75 / 4, abs=0.02)
 
 
-def test_more_scenes_on_a_device_even_out_and_more_devices_do_not():
+def test_more_scenes_per_device_even_out_and_more_devices_do_not():
     scenes = np.random.default_rng(0).integers(1000, 8000, 100)
-    by_chance = {(n, share): late(scenes, n, share, InOrder()) for n in (2, 8, 32) for share in (1, 4)}
+    by_chance = {(n, share): relative_load(scenes, n, share, InOrder()) for n in (2, 8, 32) for share in (1, 4)}
     assert 1 < by_chance[2, 1] < by_chance[8, 1] < by_chance[32, 1] < 8 / 4.5 + 0.05
     assert all(by_chance[n, 4] < by_chance[n, 1] for n in (2, 8, 32))
-    assert all(late(scenes, n, 4, BySize()) < 1 + 0.2 * (by_chance[n, 4] - 1) for n in (2, 8, 32))
+    assert all(relative_load(scenes, n, 4, BySize()) < 1 + 0.2 * (by_chance[n, 4] - 1) for n in (2, 8, 32))
 
 
 def test_a_ring_moves_each_byte_nearly_twice():
@@ -67,11 +67,11 @@ def test_a_ring_moves_each_byte_nearly_twice():
     assert all_reduce_seconds(CLUSTER, 8e8, 8) == pytest.approx(2 * 7 / 8 * 8e8 / 1e11)
 
 
-def test_between_nodes_the_network_decides():
+def test_all_reduce_between_nodes_uses_the_network():
     assert all_reduce_seconds(CLUSTER, 8e8, 16) == pytest.approx((2 * 7 / 8 / 1e11 + 1 / 1e10) * 8e8)
 
 
-def test_communication_hides_behind_the_backward_pass_but_for_its_last_bucket():
+def test_communication_overlaps_with_the_backward_pass_except_for_the_last_bucket():
     slow = replace(CLUSTER, device_bandwidth=1e8)
     alone = step_time(slow, WORK, 2).communication
     assert alone == pytest.approx(8.0)
@@ -84,12 +84,12 @@ def test_communication_hides_behind_the_backward_pass_but_for_its_last_bucket():
     assert step_time(replace(slow, overlap=1.0), held, 2).communication == pytest.approx(alone - backward / 8)
 
 
-def test_data_that_come_late_decide():
+def test_slow_loading_determines_the_step():
     time = step_time(replace(CLUSTER, images_per_second=0.1), WORK, 4)
     assert time.total == time.data == pytest.approx(4 * 2 / 0.1)
 
 
-def test_a_batch_that_does_not_divide_is_refused():
+def test_an_indivisible_batch_is_rejected():
     with pytest.raises(ValueError, match="16 scenes do not divide among 3"):
         step_time(CLUSTER, WORK, 3)
     with pytest.raises(ValueError, match="among 32"):

@@ -2,13 +2,11 @@
 
 import os
 from copy import deepcopy
-from importlib import import_module
 
 import pytest
 import torch
 from networks import checkpoint_info, model_config, network
 
-from rfpp.checkpoint import renamed
 from rfpp.checkpoint.loading import CHECKPOINT_KEY, NETWORK_PREFIX, load_network
 from rfpp.checkpoint.network_building import build
 from rfpp.errors import CheckpointError
@@ -37,29 +35,6 @@ def test_a_network_comes_back_as_it_was(tmp_path):
     assert info.resolution == (16, 16)
     for (name, a), b in zip(saved.state_dict().items(), loaded.state_dict().values(), strict=True):
         assert torch.equal(a, b), name
-
-
-def test_parts_that_were_renamed_since(tmp_path):
-    net = network()
-    old = {new: before for before, new in renamed._NOW.items()}
-
-    def as_then(config):
-        if not isinstance(config, dict):
-            return config
-        return {k: old.get(v, v) if k == "_target_" else as_then(v) for k, v in config.items()}
-
-    before = as_then(model_config())
-    assert before != model_config()
-    again, info = load_network(save(tmp_path / "old.ckpt", net, before))
-    assert info.model == model_config()
-    for name, value in net.state_dict().items():
-        torch.testing.assert_close(again.state_dict()[name], value, rtol=0, atol=0)
-
-
-@pytest.mark.parametrize("target", sorted(renamed._NOW.values()))
-def test_what_parts_are_called_now(target):
-    module, _, name = target.rpartition(".")
-    assert getattr(import_module(module), name).__module__ == module
 
 
 def test_a_missing_file(tmp_path):
@@ -114,7 +89,9 @@ def test_a_config_may_only_name_parts_of_the_model(target):
         build({"_target_": target, "command": "true"}, "evil.ckpt")
 
 
-@pytest.mark.parametrize("target", ["rfpp.model.dpt.nn.Linear", "rfpp.model.layers.block.F", "rfpp.model.layers.attention.attend"])
+@pytest.mark.parametrize(
+    "target", ["rfpp.model.dpt.nn.Linear", "rfpp.model.layers.block.F", "rfpp.model.layers.attention.attend"]
+)
 def test_a_config_may_not_reach_through_a_module(target):
     with pytest.raises(CheckpointError, match="cannot build"):
         build({"_target_": target}, "evil.ckpt")
@@ -151,7 +128,7 @@ def test_a_configuration_that_no_network_has_is_refused_at_once(tmp_path, path, 
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"model": {"_target_": "rfpp.model.pixel_filter.CentreSample"}}, "is of no network"),
+        ({"model": {"_target_": "rfpp.model.exposure.UnitExposure"}}, "is of no network"),
         ({"model": [1, 2]}, "model: Input should be a valid dictionary"),
         ({"resolution": [0, 16]}, "was trained at (0, 16) pixels"),
         ({"resolution": 16}, "resolution: "),

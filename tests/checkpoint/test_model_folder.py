@@ -78,7 +78,7 @@ def test_saving_over_another_network_replaces_it(folder):
         (lambda f: _edit(f, schema_version=99), "use the version"),
         (lambda f: _edit(f, surprise=1), "does not fit"),
         (lambda f: _edit(f, model={"_target_": "os.system", "command": "true"}), "refused"),
-        (lambda f: _edit(f, model={"_target_": "rfpp.model.pixel_filter.Nothing"}), "Nothing"),
+        (lambda f: _edit(f, model={"_target_": "rfpp.model.hoct.Nothing"}), "Nothing"),
     ],
 )  # fmt: skip
 def test_damage_is_one_line_that_names_it(damage, message, folder):
@@ -108,7 +108,7 @@ def test_training_starts_from_a_folder(folder, renderer):
     fresh = network(seed=5)
     load_initial_weights(fresh, folder)
     for name, weight in fresh.state_dict().items():
-        assert torch.equal(weight, renderer.network.state_dict()[name]), name
+        assert torch.equal(weight, renderer.engine.module.state_dict()[name]), name
 
 
 def test_a_pipe_is_not_read(folder, tmp_path):

@@ -11,8 +11,8 @@ from network_variants import PAPER, VARIANTS, batch_for, loss
 from rfpp.batch import RaggedBatch
 from rfpp.inference import object_encoder
 from rfpp.losses.transport_consistency import TransportConsistency
-from rfpp.model import attention
 from rfpp.model.exposure import MeanIrradianceExposure
+from rfpp.model.layers import attention
 from rfpp.model.layers.ray_windows import ShiftedWindows
 from rfpp.model.view_decoder import SeenTokens
 from rfpp.segments import on_device
@@ -52,7 +52,7 @@ def step(variant) -> Step:
         )
         copies.waited_for.clear()
         made = net(batch)
-        terms = loss()(made.log_radiance, made.transport_states, batch.image, made.state_segments)
+        terms = loss()(made.log_radiance, made.transport_states, batch.image, made.token_segments)
         waited_for = [*copies.waited_for]
         ends = {"log_radiance": made.log_radiance, "loss": terms["loss"]}
         states = {f"state {number}": state for number, state in enumerate(made.transport_states)}
@@ -81,10 +81,9 @@ def test_images_and_light_are_float32_between_layers_in_half_precision(step):
 def test_rendering_never_waits_for_the_device_before_the_image_is_there(variant):
     with fake_gpu() as copies:
         net = network_on(GPU, *variant).eval()
-        points = 2 if net.shades_points else 1
-        batch = batch_for(net, resolution=16 * points).to(GPU, non_blocking=True)
+        batch = batch_for(net).to(GPU, non_blocking=True)
         copies.waited_for.clear()
-        image = net.view(net.encode(batch), batch.c2w, batch.fov, batch.gbuffer, points)
+        image = net.view(net.encode(batch), batch.c2w, batch.fov, batch.gbuffer)
         assert image.device == GPU and image.shape == (2, 2, 3, 16, 16)
         assert copies.waited_for == []
 
@@ -96,7 +95,7 @@ def test_what_a_renderer_encodes_of_a_scene_on_the_host_is_on_the_device(name, m
     with fake_gpu():
         net = network_on(GPU, *VARIANTS[name]).eval()
         batch = batch_for(net, scenes=1)
-        encoded = object_encoder.ObjectEncoder(net, GPU).encode(batch)
+        encoded = net.transported(*object_encoder.ObjectEncoder(net, GPU).tokenize(batch))
         seen = (x.to(GPU) for x in (batch.c2w, batch.fov, batch.gbuffer))
         assert net.view(encoded, *seen).device == GPU
 
@@ -136,7 +135,7 @@ def test_gradients_have_a_place_for_every_parameter(variant):
     net = network_on("meta", *variant).train()
     batch = batch_for(net).to("meta")
     made = net(batch)
-    residuals = TransportConsistency()(made.transport_states, made.state_segments)
+    residuals = TransportConsistency()(made.transport_states, made.token_segments)
     (made.log_radiance.mean() + residuals.sum().to("meta")).backward()
     assert all(p.grad is not None and p.grad.is_meta and p.grad.shape == p.shape for p in net.parameters())
 

@@ -77,7 +77,7 @@ def gradients(net, batch, **autocast) -> dict[str, torch.Tensor]:
     net.zero_grad()
     with torch.autocast(batch.positions.device.type, torch.bfloat16, **autocast):
         made = net(batch)
-        terms = loss()(made.log_radiance, made.transport_states, batch.image, made.state_segments)
+        terms = loss()(made.log_radiance, made.transport_states, batch.image, made.token_segments)
     terms["loss"].backward()
     return {"loss": terms["loss"].detach(), **{name: p.grad.clone() for name, p in net.named_parameters()}}
 
@@ -115,7 +115,7 @@ def test_a_training_step_never_waits_for_the_gpu(variant, policy):
         moved = batch.to("cuda", non_blocking=True)
         with torch.autocast("cuda", torch.bfloat16):
             made = net(moved)
-            terms = loss()(made.log_radiance, made.transport_states, moved.image, made.state_segments)
+            terms = loss()(made.log_radiance, made.transport_states, moved.image, made.token_segments)
         optimizer.zero_grad()
         terms["loss"].backward()
         torch.nn.utils.clip_grad_norm_(net.parameters(), 1.0)

@@ -1,4 +1,4 @@
-"""launch/evaluate.py from a checkpoint on disk to its files."""
+"""launch/evaluate.py, from a checkpoint on disk to its results."""
 
 import csv
 import shutil
@@ -31,7 +31,7 @@ def compose_evaluation(data_root):
 
 @pytest.fixture
 def make_checkpoint(compose_evaluation, data_root, tmp_path):
-    """An untrained small network, saved as training saves it, in the folder of a run."""
+    """`make_checkpoint(run)`: an untrained small network, saved as in training, in the folder of a run."""
 
     def made(run: str, **about) -> Path:
         model = OmegaConf.to_container(compose_evaluation().model, resolve=True)
@@ -55,8 +55,8 @@ def test_writes_tables_and_panels_into_the_run(compose_evaluation, make_checkpoi
     (evaluation,) = main.__wrapped__(compose_evaluation(f"checkpoint={checkpoint}"))
     folder = checkpoint.parents[1] / "evaluation"
     written = {path.name for path in folder.iterdir()}
-    tables = {"test.csv", "test_scenes.csv", "summary.csv", "buckets.csv", "evaluation.json"}
-    assert written == {*tables, "test.png", "pictures.zip", "report.html", "config.yaml"}
+    tables = {"images.csv", "scenes.csv", "summary.csv", "evaluation.json"}
+    assert written == {*tables, "test.png", "report.html", "config.yaml"}
     assert Evaluation.read(folder / "evaluation.json") == evaluation
     assert (evaluation.method, evaluation.seed, evaluation.data) == ("RenderFormer++ w/o TCL", 3, "known")
     psnr = evaluation.means["test", "model"]["psnr"]
@@ -65,12 +65,13 @@ def test_writes_tables_and_panels_into_the_run(compose_evaluation, make_checkpoi
     assert float(_summary(folder)["model"]["psnr_high"]) == pytest.approx(psnr.high, rel=1e-5)
     printed = capsys.readouterr().out
     assert "albedo x constant" in printed
+    assert "test: log-L1 with another scene's tokens" in printed
+    assert set(evaluation.ablation["test"]) == {"other_tokens", "other_encoded_tokens", "no_operator"}
+    assert len(evaluation.transport["test"]["residual"]) == 7
     assert "another data set" not in printed
 
 
-def test_each_of_several_checkpoints_is_measured_alone_beside_the_same_baselines(
-    compose_evaluation, make_checkpoint, capsys
-) -> None:
+def test_several_checkpoints_share_their_baselines(compose_evaluation, make_checkpoint, capsys) -> None:
     first, second = make_checkpoint("a", seed=1), make_checkpoint("b", seed=2, dataset="other", data_manifest="other")
     evaluations = main.__wrapped__(compose_evaluation(f"checkpoint=[{first},{second}]"))
     assert [e.seed for e in evaluations] == [1, 2]
@@ -81,17 +82,29 @@ def test_each_of_several_checkpoints_is_measured_alone_beside_the_same_baselines
     assert capsys.readouterr().out.count("another data set") == 1
 
 
+def test_radiosity_is_evaluated_like_a_checkpoint(compose_evaluation, tmp_path, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    (evaluation,) = main.__wrapped__(compose_evaluation("checkpoint=radiosity"))
+    model, black = (evaluation.means["test", who]["log_l1"] for who in ("model", "black"))
+    assert model.scenes == black.scenes == 3
+    assert model.mean != black.mean
+    assert evaluation.ablation == evaluation.transport == {}
+    folder = tmp_path / "data" / "runs" / "radiosity" / "evaluation_known"
+    tables = {"images.csv", "scenes.csv", "summary.csv", "evaluation.json"}
+    assert {path.name for path in folder.iterdir()} == {*tables, "test.png", "report.html", "config.yaml"}
+    assert "Transport" not in (folder / "report.html").read_text()
+
+
 @pytest.mark.parametrize(
     ("override", "message"),
     [
         ("name=unchanged", "checkpoint is not given"),
-        ("evaluation.pictured_scenes=2", "evaluation.pictured_scenes: give at least 3"),
         ("checkpoint=/nowhere/best.ckpt", "/nowhere/best.ckpt: no such checkpoint"),
         ("checkpoint=[{run}/checkpoints/best.ckpt,/nowhere/best.ckpt]", "/nowhere/best.ckpt: no such checkpoint"),
         ("checkpoint=[{run}/checkpoints/best.ckpt,{run}/checkpoints/last.ckpt]", "write to one folder"),
     ],
 )
-def test_a_bad_setting_is_one_line_and_nothing_is_evaluated(
+def test_a_bad_setting_is_one_line_before_anything_is_evaluated(
     compose_evaluation, make_checkpoint, capsys, override, message
 ) -> None:
     best = make_checkpoint("run")

@@ -1,4 +1,4 @@
-"""From a run's folder to a model folder: what its card says, and what it refuses."""
+"""From a run's folder to a model folder and its card."""
 
 import numpy as np
 import pytest
@@ -25,9 +25,9 @@ def run(tmp_path, evaluation):
     return tmp_path / "run"
 
 
-def test_the_folder_renders_like_the_run_and_its_card_says_what_was_measured(run, tmp_path, capsys):
+def test_the_folder_renders_like_the_run_and_its_card_has_the_scores(run, tmp_path, capsys):
     notes = tmp_path / "limits.md"
-    notes.write_text("## What it cannot do\n\nGlass.\n")
+    notes.write_text("## Limits\n\nGlass.\n")
     main([str(run), str(tmp_path / "toy"), "--notes", str(notes)])
     assert capsys.readouterr().out.strip() == str(tmp_path / "toy")
     trained = Renderer.load(run / "checkpoints" / "best.ckpt", "cpu", "bf16")
@@ -46,15 +46,15 @@ def test_the_folder_renders_like_the_run_and_its_card_says_what_was_measured(run
 
 
 @pytest.mark.parametrize("change", [{"steps": 9}, {"seed": 3}, {"commit": None}, {"method": "RenderFormer"}])
-def test_an_evaluation_of_another_network_is_refused(run, tmp_path, evaluation, change, capsys):
+def test_an_evaluation_of_another_checkpoint_is_refused(run, tmp_path, evaluation, change, capsys):
     evaluation(splits=("test",), **change).write(run / "evaluation")
     with pytest.raises(SystemExit) as stop:
         main([str(run), str(tmp_path / "toy")])
-    assert f"with {next(iter(change))} " in str(stop.value.code) and "evaluate again" in str(stop.value.code)
+    assert f"had {next(iter(change))} " in str(stop.value.code) and "evaluate again" in str(stop.value.code)
     assert not (tmp_path / "toy").exists()
 
 
-def test_what_is_missing_is_named(run, tmp_path):
+def test_a_missing_file_is_named(run, tmp_path):
     for arguments, named in (
         ([str(tmp_path / "none"), str(tmp_path / "toy")], "best.ckpt"),
         ([str(run), str(tmp_path / "toy"), "--notes", str(tmp_path / "none.md")], "none.md"),
@@ -64,15 +64,15 @@ def test_what_is_missing_is_named(run, tmp_path):
         assert named in str(stop.value.code)
 
 
-def test_by_hand(run, tmp_path):
+def test_notes_are_optional(run, tmp_path):
     assert publish(run, tmp_path / "toy") == tmp_path / "toy"
-    assert "What it cannot do" not in (tmp_path / "toy" / "README.md").read_text()
+    assert "## Limits" not in (tmp_path / "toy" / "README.md").read_text()
 
 
-def test_a_refinement_is_published_instead_of_what_it_refines(run, tmp_path):
+def test_a_refinement_is_published_instead_of_the_checkpoint_it_refines(run, tmp_path):
     refined = Renderer.load(run / "checkpoints" / "best.ckpt", "cpu", "fp32")
     with torch.no_grad():
-        next(refined.network.decoder.head.parameters()).mul_(2)
+        next(refined.engine.module.decoder.head.parameters()).mul_(2)
     refined.save(run / "refined")
     published = Renderer.load(publish(run, tmp_path / "toy"), "cpu", "bf16")
     expected = Renderer.load(run / "refined", "cpu", "bf16")

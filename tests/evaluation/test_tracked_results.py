@@ -18,13 +18,26 @@ def _info(uri: str | None, run_id: str | None) -> CheckpointInfo:
     return checkpoint_info(mlflow_run_id=run_id, mlflow_tracking_uri=uri)
 
 
-def test_names_tell_the_network_from_the_baselines() -> None:
-    assert tracked_metrics(MEANS) == {"test/log_l1": 0.01, "test_baselines/albedo_x_constant/log_l1": 0.03}
+METRICS = {
+    "test/log_l1": 0.01,
+    "test_baselines/albedo_x_constant/log_l1": 0.03,
+    "test/ablation/other_tokens": 0.5,
+}
+
+
+@pytest.fixture
+def measured(evaluation):
+    """`measured(data)`: an evaluation on that data set."""
+    return lambda data: evaluation(data=data, means=MEANS, ablation={"test": {"other_tokens": 0.5}})
+
+
+def test_names_separate_model_baselines_and_ablations(measured) -> None:
+    assert tracked_metrics(measured("small")) == METRICS
 
 
 @pytest.fixture
 def finished_run(tmp_path) -> tuple[MlflowClient, str, str]:
-    """Client, tracking URI and id of a training run that has ended."""
+    """Client, tracking URI and id of a finished training run."""
     uri = f"sqlite:///{tmp_path}/mlflow.db"
     client = MlflowClient(uri)
     experiment = client.create_experiment("e", artifact_location=(tmp_path / "artifacts").as_uri())
@@ -40,35 +53,31 @@ def table(tmp_path) -> Path:
     return path
 
 
-def test_results_are_added_to_the_finished_training_run(finished_run, table, evaluation) -> None:
+def test_results_are_added_to_the_finished_training_run(finished_run, table, measured) -> None:
     client, uri, run = finished_run
-    mine = evaluation(data="small", means=MEANS, life={"test": {"exchanged_tokens": 0.5}})
-    assert log_to_training_run(_info(uri, run), mine, [table]).startswith("Logged")
-    assert client.get_run(run).data.metrics == tracked_metrics(MEANS) | {"test/life/exchanged_tokens": 0.5}
+    assert log_to_training_run(_info(uri, run), measured("small"), [table]).startswith("Logged")
+    assert client.get_run(run).data.metrics == METRICS
     assert [f.path for f in client.list_artifacts(run, "evaluation")] == ["evaluation/summary.csv"]
 
 
-def test_results_on_other_data_do_not_replace_those_on_its_own(finished_run, table, evaluation) -> None:
+def test_results_on_other_data_have_their_own_names(finished_run, table, measured) -> None:
     client, uri, run = finished_run
-    log_to_training_run(_info(uri, run), evaluation(data="large_scale", means=MEANS), [table])
-    assert client.get_run(run).data.metrics["large_scale/test/log_l1"] == 0.01
-    assert "test/log_l1" not in client.get_run(run).data.metrics
+    log_to_training_run(_info(uri, run), measured("large_scale"), [table])
+    assert client.get_run(run).data.metrics == {f"large_scale/{name}": value for name, value in METRICS.items()}
     assert [f.path for f in client.list_artifacts(run)] == ["evaluation_large_scale"]
 
 
-def test_a_lost_run_is_said_in_one_line(tmp_path, evaluation) -> None:
-    line = log_to_training_run(
-        _info(f"sqlite:///{tmp_path}/mlflow.db", "0" * 32), evaluation(data="small", means=MEANS), []
-    )
+def test_an_unreachable_run_is_one_line(tmp_path, measured) -> None:
+    line = log_to_training_run(_info(f"sqlite:///{tmp_path}/mlflow.db", "0" * 32), measured("small"), [])
     assert line.startswith("Not logged")
     assert "\n" not in line
 
 
-def test_a_checkpoint_without_a_run_is_said(evaluation) -> None:
-    assert "no MLflow run" in log_to_training_run(_info(None, None), evaluation(data="small", means=MEANS), [])
+def test_a_checkpoint_without_a_run_is_reported(measured) -> None:
+    assert "no MLflow run" in log_to_training_run(_info(None, None), measured("small"), [])
 
 
-def test_results_go_into_the_run_of_the_checkpoint(tmp_path) -> None:
+def test_results_are_in_the_run_of_the_checkpoint(tmp_path) -> None:
     checkpoint = tmp_path / "run" / "checkpoints" / "best.ckpt"
     checkpoint.parent.mkdir(parents=True)
     checkpoint.write_bytes(b"")
@@ -76,6 +85,6 @@ def test_results_go_into_the_run_of_the_checkpoint(tmp_path) -> None:
     assert results_folder(str(checkpoint), checkpoint_info(), "other") == tmp_path / "run" / "evaluation_other"
 
 
-def test_a_released_network_gets_a_folder_among_the_runs() -> None:
+def test_a_model_folder_gets_a_folder_among_the_runs() -> None:
     folder = results_folder("someone/renderformer", checkpoint_info(), "other")
     assert folder == RUNS / "renderformer" / "evaluation_other"

@@ -71,9 +71,9 @@ def test_frames_are_the_renderers_images_and_one_scene_is_encoded_once(renderer,
 
 
 def test_an_animated_object_is_encoded_anew_and_the_others_are_not(renderer, tmp_path):
-    fresh = Renderer(renderer.network, checkpoint_info())
+    fresh = renderer.fresh()
     make(edits(), tmp_path, fresh)
-    assert fresh.objects.encoded == 6 + 1 + 1  # all; the one that moved; the light
+    assert fresh.engine.objects.encoded == 6 + 1 + 1  # all; the one that moved; the light
 
 
 def test_what_is_there_is_not_rendered_again(renderer, rendered, tmp_path):

@@ -8,11 +8,11 @@ import pytest
 from known_scenes import look_at, still_life
 
 from rfpp.errors import UserError
-from rfpp.raycast.first_hit import CELL_CHANNELS, CHANNELS, channel, first_hit, stack_channels
 from rfpp.imaging.exr import read_exr
 from rfpp.imaging.tone_maps import SRGB
 from rfpp.inference.layers import checked_layers, exr_layers
 from rfpp.inference.stills import write_still
+from rfpp.raycast.first_hit import CHANNELS, channel, first_hit, stack_channels
 
 NAMES = ("normal", "depth", "albedo", "roughness", "position")
 
@@ -47,7 +47,7 @@ def test_layers_read_back_by_their_conventional_names(seen, tmp_path):
 
 
 def test_every_channel_of_a_gbuffer_can_be_a_layer():
-    names = tuple(name for name in CHANNELS if name not in CELL_CHANNELS)
+    names = tuple(CHANNELS)
     numbers = np.arange(sum(CHANNELS[name] for name in names), dtype=np.float32)
     stacked = numbers[:, None, None] * np.ones((1, 2, 3), np.float32)
     layers = exr_layers(stacked, checked_layers(names))

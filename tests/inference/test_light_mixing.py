@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 from edited_scenes import changed, lamp, moved, scene
-from networks import checkpoint_info, network
+from networks import checkpoint_info
 from small_data import FLOOR
 
 from rfpp import Renderer
 from rfpp.inference.light_mixing import LightMixer
+from rfpp.radiosity.radiosity import Radiosity
 from rfpp.scene.packed import PackedScene, pack
 
 SIZE = (16, 16)
@@ -25,8 +26,8 @@ def with_lights(power: float, colour: tuple[float, float, float]) -> PackedScene
 @pytest.fixture
 def mixer(monkeypatch):
     """One that counts the views its renderer renders, in `mixer.rendered`."""
-    renderer = Renderer(network("experiment=quickstart"), checkpoint_info(resolution=SIZE))
-    views = renderer.views
+    renderer = Renderer(Radiosity(), checkpoint_info(resolution=SIZE))
+    views = renderer.engine.views
     mixer = LightMixer(renderer)
     mixer.rendered = 0
 
@@ -34,15 +35,15 @@ def mixer(monkeypatch):
         mixer.rendered += 1
         return views(*args, **kwargs)
 
-    monkeypatch.setattr(renderer, "views", counted)
+    monkeypatch.setattr(renderer.engine, "views", counted)
     return mixer
 
 
 def fresh(packed: PackedScene) -> np.ndarray:
-    return Renderer(network("experiment=quickstart"), checkpoint_info(resolution=SIZE)).render(packed, SIZE)[0]
+    return Renderer(Radiosity(), checkpoint_info(resolution=SIZE)).render(packed, SIZE)[0]
 
 
-def test_every_setting_is_a_fresh_render_and_the_network_runs_once_for_each_light(mixer):
+def test_every_setting_is_a_fresh_render_and_each_light_is_rendered_once(mixer):
     mixer.image(view(scene()), SIZE)
     assert mixer.rendered == 1
     for power, colour in [(100, (700.0, 10.0, 0.0)), (9000, (1.0, 2.0, 3.0)), (0.1, (0.0, 0.0, 5000.0))]:

@@ -12,7 +12,6 @@ from random_scenes import random_views
 from rfpp import Renderer
 from rfpp.batch import RaggedBatch
 from rfpp.inference.object_encoder import ObjectEncoder, object_keys
-from rfpp.scene.packed import pack
 
 #: The paper's network, and one that normalizes scenes to their exposure.
 NETWORKS = {"paper": (), "exposed": ("experiment=quickstart",)}

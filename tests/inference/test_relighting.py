@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 from edited_scenes import scene
-from networks import checkpoint_info, network
+from networks import checkpoint_info
 
 from rfpp import Renderer
 from rfpp.inference.relighting import solve_lights, with_factors
+from rfpp.radiosity.radiosity import Radiosity
 from rfpp.scene.packed import pack
 
 EVERYWHERE = np.ones((2, 8, 8), bool)
@@ -78,7 +79,7 @@ def test_lights_that_cannot_be_told_apart_are_named_and_share_what_is_known(laye
 
 @pytest.mark.parametrize("form", [scene, lambda: pack(scene())], ids=["scene", "packed"])
 def test_a_scene_with_the_factors_looks_like_the_sum_with_the_factors(form):
-    renderer = Renderer(network("experiment=quickstart"), checkpoint_info(resolution=(16, 16)))
+    renderer = Renderer(Radiosity(), checkpoint_info(resolution=(16, 16)))
     factors = {"lamp": np.array([0.5, 1.0, 2.0]), "spot": np.array([2.0, 2.0, 0.0])}
     apart = renderer.render_lights(form(), light_samples=4)
     np.testing.assert_allclose(

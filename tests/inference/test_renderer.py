@@ -14,9 +14,9 @@ from small_data import BoxFamily
 from rfpp import Renderer
 from rfpp.batch import RaggedBatch, SceneViews
 from rfpp.errors import SceneError, UserError
-from rfpp.raycast.first_hit import first_hit, stack_channels
 from rfpp.imaging.radiance import log_decode
 from rfpp.inference.network_engine import _computed_ahead
+from rfpp.raycast.first_hit import first_hit, stack_channels
 from rfpp.scene.packed import pack
 from rfpp.scene.spec import Camera
 

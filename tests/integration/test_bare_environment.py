@@ -92,7 +92,8 @@ def test_it_is_evaluated_without_tracking(trained, bare):
         extras=("evaluation",),
     )  # fmt: skip
     assert "names no MLflow run" in said
-    assert json.loads((folder / "evaluation" / "evaluation.json").read_text())["cost"]["seconds"] > 0
+    splits = json.loads((folder / "evaluation" / "evaluation.json").read_text())["splits"]
+    assert splits["test"]["model"]["log_l1"]["mean"] > 0
 
 
 def test_a_picture_is_rendered_by_what_was_trained_and_by_what_comes_with_the_project(trained, bare, tmp_path):
@@ -122,8 +123,8 @@ def test_commands_explain_themselves(bare, command, setting):
     assert "powered by Hydra" in bare(f"launch/{command}.py", *setting, "--help")
 
 
-def test_benchmarks_are_there_but_for_plots_and_what_compares_with_others(bare):
-    need_more = {"cost.plot", "equal_time_plot", "plotting", "refining_plot", "streaming"}
+def test_benchmarks_other_than_plots_are_importable(bare):
+    need_more = {"cost.plot", "equal_time_plot", "plotting"}
     folder = ROOT / "rfpp" / "benchmark"
     files = [path.relative_to(folder).with_suffix("") for path in folder.rglob("*.py") if path.stem != "__init__"]
     names = sorted({".".join(file.parts) for file in files} - need_more)

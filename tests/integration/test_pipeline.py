@@ -75,8 +75,7 @@ def test_evaluation_writes_tables_and_reports_to_the_training_run(trained, compo
     (evaluation,) = main.__wrapped__(cfg)
     means = evaluation.means
     assert {split for split, _ in means} == {"train_newviews", "test"}
-    baselines = {"black", "mean image", "albedo x constant", "direct light alone", "reflections too"}
-    baselines |= {"unlearned radiosity"}
+    baselines = {"black", "mean image", "albedo x constant", "direct light", "direct light and reflections"}
     assert {predictor for _, predictor in means} == {"model", *baselines}
     assert all(np.isfinite(row["log_l1"].mean) for row in means.values())
     assert (run / "evaluation" / "summary.csv").is_file()
@@ -86,7 +85,7 @@ def test_evaluation_writes_tables_and_reports_to_the_training_run(trained, compo
     [folder] = [entry.path for entry in client.list_artifacts(run_id) if entry.path.startswith("evaluation")]
     sent = {Path(entry.path).name: entry.file_size for entry in client.list_artifacts(run_id, folder)}
     here = {path.name: path.stat().st_size for path in (run / "evaluation").iterdir()}
-    assert {"report.html", "pictures.zip", "summary.csv", "test.png"} <= sent.keys()
+    assert {"report.html", "scenes.csv", "summary.csv", "test.png"} <= sent.keys()
     assert sent == {name: here[name] for name in sent}
 
 

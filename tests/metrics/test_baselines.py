@@ -6,8 +6,8 @@ from rfpp.metrics.baselines import (
     CHANNELS,
     AlbedoTimesConstant,
     Black,
-    DirectLightAlone,
-    DirectLightReflected,
+    DirectLight,
+    DirectLightAndReflections,
     MeanImage,
 )
 
@@ -63,5 +63,5 @@ def test_prediction_scales_with_albedo() -> None:
 def test_direct_light_is_reflected_by_both_lobes() -> None:
     gbuffer = {name: _albedo(seed) for seed, name in enumerate(CHANNELS)}
     expected = _albedo(0) * _albedo(2) + _albedo(1) * _albedo(3)
-    torch.testing.assert_close(DirectLightAlone().predict(gbuffer), expected)
-    torch.testing.assert_close(DirectLightReflected().predict(gbuffer), expected + _albedo(1) * _albedo(4))
+    torch.testing.assert_close(DirectLight().predict(gbuffer), expected)
+    torch.testing.assert_close(DirectLightAndReflections().predict(gbuffer), expected + _albedo(1) * _albedo(4))

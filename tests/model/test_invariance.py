@@ -15,8 +15,7 @@ from rfpp.training.augmentation import moved
 
 VARIANTS = {
     "paper": (),
-    "known_light": ("experiment=quickstart", "model=known_light"),
-    "linear": ("experiment=quickstart",),
+    "known_light": ("experiment=[quickstart,known_light]",),
 }
 MOST_CHANNELS = sum(CHANNELS.values())
 
@@ -53,9 +52,7 @@ def reordered(views: SceneViews, objects: list[int], rng: np.random.Generator | 
         object_offsets=np.concatenate([[0], np.cumsum([len(p) for p in pieces])]).astype(np.int32),
         object_names=tuple(old.object_names[o] for o in objects),
     )
-    owner, octant = np.divmod(views.cells.octant, 8)
-    cells = replace(views.cells, octant=(8 * np.argsort(objects)[owner] + octant).astype(np.int32))
-    return replace(views, triangles=triangles, object_light=views.object_light[objects], cells=cells)
+    return replace(views, triangles=triangles)
 
 
 def test_object_order_does_not_matter(net):
@@ -74,8 +71,6 @@ def test_which_object_a_triangle_belongs_to_does_matter(net):
     merged = replace(
         views,
         triangles=replace(views.triangles, object_offsets=np.array([0, 20, 21], np.int32), object_names=("a", "b")),
-        object_light=views.object_light[1:],
-        cells=replace(views.cells, octant=views.cells.octant // 2),
     )
     assert not torch.allclose(image(net, merged), image(net, views), rtol=1e-3, atol=1e-6)
 

@@ -10,10 +10,9 @@ from random_scenes import random_views
 
 from rfpp.batch import RaggedBatch
 from rfpp.losses.transport_consistency import TransportConsistency
+from rfpp.model.hoct import mean_by_object, object_anchors
 from rfpp.model.layers.block import RMSNorm
 from rfpp.model.layers.encoding import FrequencyEncoding, RelativeSpatialEncoding, rotate
-from rfpp.model.hoct import mean_by_object
-from rfpp.model.hoct import object_anchors
 from rfpp.model.pitg import EmissionEncoder
 from rfpp.segments import Segments
 

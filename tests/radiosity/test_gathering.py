@@ -8,12 +8,12 @@ from known_scenes import box, look_at, material, pack, sphere, square
 from slow_light import direct_light
 
 from rfpp.radiosity.cell_finding import find_cells
-from rfpp.radiosity.cell_table import NOWHERE
 from rfpp.radiosity.cell_places import find_places
+from rfpp.radiosity.cell_table import NOWHERE
 from rfpp.radiosity.pixel_rays import MOST_RAYS, SeenCells, see_cells
+from rfpp.radiosity.ray_ends import follow_rays
 from rfpp.raycast.first_hit import first_hit
 from rfpp.raycast.light_sampler import LightSampler
-from rfpp.radiosity.ray_ends import follow_rays
 from rfpp.raycast.raycast import RayCaster
 from rfpp.raycast.surface import Surface
 from rfpp.scene.triangles import SceneTriangles

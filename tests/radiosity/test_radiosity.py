@@ -1,6 +1,7 @@
 """Radiosity against closed forms and a path tracer, and what its filter over pixels may change."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -39,7 +40,7 @@ def test_energy_never_grows():
     bright = cells(0.9, 0.9).conserving()
     torch.testing.assert_close(bright.diffuse + bright.specular, torch.ones(5, 3))
     states = Radiosity().solve(bright, 6)
-    growth = [b.irradiance.mean() - a.irradiance.mean() for a, b in zip(states, states[1:], strict=False)]
+    growth = [b.irradiance.mean() - a.irradiance.mean() for a, b in pairwise(states)]
     assert all(step <= 1 + 1e-5 for step in growth)
 
 

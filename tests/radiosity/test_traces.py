@@ -8,8 +8,8 @@ from known_scenes import box, look_at, material, pack, square
 
 from rfpp.radiosity.cell_finding import cells_at, find_cells
 from rfpp.radiosity.cell_places import find_places
-from rfpp.raycast.first_hit import first_hit
 from rfpp.radiosity.pixel_rays import see_cells
+from rfpp.raycast.first_hit import first_hit
 from rfpp.raycast.ggx import lobe_albedo, multiple_scattering, scattering_growth
 from rfpp.raycast.known_light import with_known_light
 from rfpp.raycast.light_sampler import LightSampler

@@ -56,13 +56,13 @@ def test_a_scene_that_was_sent_is_not_sent_again_and_what_stayed_is_not_computed
     with server(renderer) as served:
         name = sent(served, scene().glb())
         picture(served, name)
-        encoded = renderer.objects.encoded
+        encoded = renderer.engine.objects.encoded
         turned = [[1, 0, 0, 0.5], *VIEW["camera_to_world"][1:]]
         assert not np.array_equal(picture(served, name), picture(served, name, camera_to_world=turned))
-        assert renderer.objects.encoded == encoded
+        assert renderer.engine.objects.encoded == encoded
         assert sent(served, scene().glb()) == name
         picture(served, sent(served, scene(x=0.5).glb()))
-        assert renderer.objects.encoded == encoded + 1
+        assert renderer.engine.objects.encoded == encoded + 1
 
 
 def test_notes_say_what_was_changed(served):

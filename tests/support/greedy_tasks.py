@@ -1,4 +1,4 @@
-"""Tasks for the cost benchmark that take too much, but only of a network with a token per triangle."""
+"""Tasks for the cost benchmark that exceed a limit, but only with RenderFormer."""
 
 from __future__ import annotations
 
@@ -8,36 +8,43 @@ from dataclasses import dataclass
 import torch
 
 from rfpp.benchmark.cost.tasks import Inference
-from rfpp.model.renderformer.triangle_tokens import TriangleTokens
 
-#: Bytes that `Hungry` takes at once.
-BITE = 50_000_000
-#: What it takes with other networks.
+#: Bytes that `Hungry` allocates with other networks.
 MODERATE = 300_000_000
 
 
 @dataclass(frozen=True)
 class Sleepy(Inference):
-    """Never ends."""
+    """Task that never finishes."""
 
-    def prepared(self, network, batch, setting):
-        run = super().prepared(network, batch, setting)
-        return (lambda: time.sleep(600)) if isinstance(network.tokenizer, TriangleTokens) else run
+    def prepare(self, name, network, batch, setting):
+        run = super().prepare(name, network, batch, setting)
+        return (lambda: time.sleep(600)) if name == "RenderFormer" else run
 
 
 @dataclass(frozen=True)
 class Hungry(Inference):
-    """Holds three gigabytes, then forgets them."""
+    """Task that allocates `bytes`, then frees them."""
 
-    def prepared(self, network, batch, setting):
-        run = super().prepared(network, batch, setting)
-        most = 3_000_000_000 if isinstance(network.tokenizer, TriangleTokens) else MODERATE
+    bytes: int
+
+    def prepare(self, name, network, batch, setting):
+        run = super().prepare(name, network, batch, setting)
 
         def eat():
-            eaten = []
-            while BITE * len(eaten) < most:
-                eaten.append(torch.ones(BITE // 4))
+            parts = []
+            for _ in range(max(1, (self.bytes if name == "RenderFormer" else MODERATE) // MODERATE)):
+                parts.append(torch.ones(MODERATE // 4))
                 time.sleep(0.03)
             return run()
 
         return eat
+
+
+@dataclass(frozen=True)
+class Impossible(Inference):
+    """Task that allocates more than any machine has."""
+
+    def prepare(self, name, network, batch, setting):
+        run = super().prepare(name, network, batch, setting)
+        return (lambda: torch.empty(1 << 58)) if name == "RenderFormer" else run

@@ -14,17 +14,13 @@ PAPER = ("experiment=large_scale", "size=tiny", *HEADS)
 VARIANTS = {
     "paper": PAPER,
     "quickstart": ("experiment=quickstart", *HEADS),
-    "known_light": ("experiment=quickstart", "model=known_light", *HEADS),
-    "refined": (
-        "experiment=quickstart", *HEADS,
-        "+model.refinement={_target_: rfpp.radiosity.refinement.Refinement, widths: [8, 12, 16], bound: 1.0}",
-    ),
+    "known_light": ("experiment=[quickstart,known_light]", *HEADS),
     "windows": (*PAPER, "+model.decoder.windows={_target_: rfpp.model.layers.ray_windows.ShiftedWindows, size: 2}"),
     **{
-        name: (f"experiment=[large_scale,{name}]", "size=tiny", *HEADS)
+        name: (f"experiment=[large_scale,paper/{name}]", "size=tiny", *HEADS)
         # without_tcl is the paper's network, renderformer_finetuned RenderFormer's
         for name in ("without_pitg", "without_ggd", "one_iteration", "renderformer", "renderformer_pitg",
-                     "renderformer_hoct", "direct_light", "learned_occlusion", "light_from_emission", "octant_tokens")
+                     "renderformer_hoct")
     },
 }  # fmt: skip
 
@@ -38,5 +34,5 @@ def batch_for(net: RenderFormerPP, resolution: int = 16, scenes: int = 2) -> Rag
 def loss() -> RenderingLoss:
     return RenderingLoss(
         l1_weight=1.0, lpips_weight=0.0, consistency_weight=0.1, lpips_images_per_step=None, lpips_trunk_path=None,
-        consistency_stop_gradient=False, divergence_weight=0.0,
+        consistency_stop_gradient=False,
     )  # fmt: skip

@@ -3,7 +3,6 @@
 import numpy as np
 
 from rfpp.batch import SceneViews
-from rfpp.radiosity.cells import Cells
 from rfpp.scene.camera import camera_to_world
 from rfpp.scene.spec import Camera
 from rfpp.scene.triangles import SceneTriangles
@@ -44,31 +43,4 @@ def random_views(
         fov=rng.uniform(30, 60, views).astype(np.float32),
         gbuffer=rng.uniform(0, 1, (views, channels, resolution, resolution)).astype(np.float32),
         image=rng.exponential(0.5, (views, 3, resolution, resolution)).astype(np.float32),
-        object_light=rng.exponential(0.3, (len(object_sizes), 3)).astype(np.float32),
-        cells=random_cells(rng, len(object_sizes)),
-    )
-
-
-def random_cells(rng: np.random.Generator, objects: int, per_object: int = 5) -> Cells:
-    """Cells of no scene, which see each other at random."""
-    count = objects * per_object
-    emitted = np.zeros((count, 3), np.float32)
-    emitted[-per_object:] = 2.0  # the last object is the lamp
-
-    def numbers(*shape: int) -> np.ndarray:
-        return rng.uniform(0.05, 0.4, (count, *shape)).astype(np.float32)
-
-    return Cells(
-        octant=(8 * np.repeat(np.arange(objects), per_object) + rng.integers(0, 8, count)).astype(np.int32),
-        centre=numbers(3),
-        normal=numbers(3),
-        area=numbers(),
-        diffuse=numbers(3),
-        specular=numbers(3),
-        roughness=numbers(),
-        emitted=emitted,
-        arriving=numbers(3),
-        highlights=numbers(3),
-        hits=rng.integers(-1, count, (count, 8)).astype(np.int32),
-        onward=rng.integers(-1, count, (count, 8)).astype(np.int32),
     )

@@ -15,11 +15,11 @@ from rfpp.batch import RaggedBatch
 from rfpp.checkpoint.loading import load_network
 from rfpp.commands import CONFIG_DIR
 from rfpp.errors import CheckpointError
-from rfpp.losses.error_growth import EXCHANGED_TOKENS, donated, impaired
+from rfpp.losses.ablation import OTHER_TOKENS, TokenFeatures, ablated
 from rfpp.losses.log_l1 import log_l1
 from rfpp.shards.dataset import ShardSplit
 from rfpp.shards.views import select_views
-from rfpp.training.callbacks.part_use import PartUse
+from rfpp.training.callbacks.ablation import AblationMonitor
 from rfpp.training.tracking.registry import checkpoint_file
 
 STEPS = 4
@@ -83,31 +83,31 @@ def test_every_validation_is_scored_by_size_and_shown(tracked):
     assert {Path(a.path).name for a in client.list_artifacts(run.info.run_id, "panels")} == pictures
 
 
-def test_every_validation_asks_which_parts_are_alive(tracked):
-    """The same numbers as by hand, of the best checkpoint at its step."""
+def test_every_validation_measures_the_ablations(tracked):
+    """The logged number equals that of the best checkpoint at its step."""
     folder, checkpoint, client, run = tracked
-    for part in ("exchanged_tokens", "no_transport"):
-        assert [m.step for m in client.get_metric_history(run.info.run_id, f"life/{part}")] == [1, 3]
+    for name in ("other_tokens", "other_encoded_tokens", "no_operator"):
+        assert [m.step for m in client.get_metric_history(run.info.run_id, f"ablation/{name}")] == [1, 3]
     network, info = load_network(checkpoint)
     network.eval()
     scenes = ShardSplit(folder / "data", "validation")
     views = [select_views(s, range(len(s.fov)), network.gbuffer_channels) for s in (scenes[0], scenes[1])]
     first, second = (RaggedBatch.pack([view]) for view in views)
     with torch.no_grad():
-        given = impaired(network, second, donated(network, first))[EXCHANGED_TOKENS]
-        growth = log_l1(given, second.image) / log_l1(network(second).log_radiance, second.image) - 1
-    logged = {m.step: m.value for m in client.get_metric_history(run.info.run_id, "life/exchanged_tokens")}
+        image = ablated(network, second, TokenFeatures.of(network, first))[OTHER_TOKENS]
+        growth = log_l1(image, second.image) / log_l1(network(second).log_radiance, second.image) - 1
+    logged = {m.step: m.value for m in client.get_metric_history(run.info.run_id, "ablation/other_tokens")}
     assert logged[info.steps - 1] == pytest.approx(growth.item(), abs=1e-3)
 
 
-def test_a_network_that_does_not_read_its_tokens_is_warned_of_once():
-    signs = PartUse(scenes=4, least=0.05)
+def test_unused_tokens_are_warned_of_once():
+    monitor = AblationMonitor(scenes=4, min_growth=0.05)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        signs.judge(0.2)
-        with pytest.warns(UserWarning, match=r"hardly reads its scene tokens: .* grows by 2.0%"):
-            signs.judge(0.02)
-        signs.judge(0.02)
+        monitor.warn_if_unused(0.2)
+        with pytest.warns(UserWarning, match=r"hardly uses its scene tokens: .* grows by 2.0%"):
+            monitor.warn_if_unused(0.02)
+        monitor.warn_if_unused(0.02)
 
 
 def test_the_run_says_what_ran(tracked):

@@ -1,1 +1,1 @@
-"""Time, memory and operations of networks over the sizes of scenes and images (`benchmark=cost`)."""
+"""Time, memory and operations of networks over scene and image sizes (`benchmark=cost` and `benchmark=gpu`)."""

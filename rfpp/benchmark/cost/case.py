@@ -1,4 +1,4 @@
-"""Synthetic scenes with a given number of triangles and objects, for measuring cost."""
+"""Synthetic scenes with a given number of triangles and objects."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from rfpp.scene.camera import camera_to_world
 from rfpp.scene.spec import Camera
 from rfpp.scene.triangles import SceneTriangles
 
-#: Of a scene's objects so many are lights, at most half of them: single triangles, as in all families of scenes.
+#: Light sources per scene, at most half of its objects. Each is one triangle, as in all families of scenes.
 LIGHTS = 4
 #: Standard deviation of the logarithm of an object's triangle count.
 _SPREAD = 0.5
@@ -23,12 +23,12 @@ _SPREAD = 0.5
 
 @dataclass(frozen=True)
 class Case:
-    """What is rendered, or trained on.
+    """Size of a batch.
 
     Attributes:
-        triangles, objects, views: of each scene; its lights are objects, too.
-        resolution: pixels along both sides of a view.
-        scenes: of the batch.
+        triangles, objects, views: Numbers per scene; light sources count as objects.
+        resolution: Pixels along both sides of a view.
+        scenes: Scenes in the batch.
     """
 
     triangles: int
@@ -39,51 +39,50 @@ class Case:
 
     def __post_init__(self) -> None:
         if not 1 <= self.objects <= self.triangles or min(self.views, self.resolution, self.scenes) < 1:
-            raise UserError(f"{self}: all must be at least 1, and an object has a triangle at least")
+            raise UserError(f"{self}: use at least 1 everywhere, and at least as many triangles as objects")
 
     def batch(self, channels: Sequence[str], seed: int) -> RaggedBatch:
-        """The same scenes for the same seed, with these G-buffer channels, and noise for G-buffers and images."""
+        """Return a batch with these G-buffer channels; images and G-buffers are noise."""
         return RaggedBatch.pack([self._scene(channels, np.random.default_rng([seed, i])) for i in range(self.scenes)])
 
     def _scene(self, channels: Sequence[str], rng: np.random.Generator) -> SceneViews:
-        sizes = object_sizes(self.triangles, self.objects, rng)
-        triangles = _triangles(sizes, rng)
+        triangles = _triangles(object_sizes(self.triangles, self.objects, rng), rng)
         eyes = 1.8 * _directions(rng, self.views)
         cameras = [Camera(position=tuple(eye), look_at=(0, 0, 0), up=(0.1, 0.2, 1), fov=40) for eye in eyes.tolist()]
-        return SceneViews(
-            key="invented",
-            triangles=triangles,
-            c2w=np.stack([camera_to_world(camera) for camera in cameras]),
-            fov=np.full(self.views, 40, np.float32),
-            **noise(channels, objects=len(sizes), views=self.views, resolution=self.resolution, rng=rng),
-        )
+        c2w, fov = np.stack([camera_to_world(camera) for camera in cameras]), np.full(self.views, 40, np.float32)
+        return noisy_views(triangles, c2w, fov, channels, self.resolution, rng)
 
 
-def noise(
-    channels: Sequence[str], objects: int, views: int, resolution: int, rng: np.random.Generator
-) -> dict[str, np.ndarray]:
-    """What stands for images, G-buffers and the light of objects where only their size matters: parts of SceneViews."""
-    shape = (views, 3 + sum(CHANNELS[name] for name in channels), resolution, resolution)
+def noisy_views(
+    triangles: SceneTriangles,
+    c2w: Float[np.ndarray, "v 4 4"],
+    fov: Float[np.ndarray, " v"],
+    channels: Sequence[str],
+    resolution: int,
+    rng: np.random.Generator,
+) -> SceneViews:
+    """Return a scene whose images and G-buffers are noise, for measurements where only their size matters."""
+    shape = (len(fov), 3 + sum(CHANNELS[name] for name in channels), resolution, resolution)
     image, gbuffer = np.split(rng.random(shape, np.float32), [3], axis=1)
-    return {"image": image, "gbuffer": gbuffer, "object_light": rng.random((objects, 3), np.float32)}
+    return SceneViews("synthetic", triangles, c2w, fov, gbuffer, image)
 
 
 def object_sizes(triangles: int, objects: int, rng: np.random.Generator) -> Int[np.ndarray, " objects"]:
-    """How many triangles each object has, as uneven as in real scenes; lights come last."""
+    """Draw each object's number of triangles, as uneven as in real scenes; light sources come last."""
     lights = min(LIGHTS, objects // 2)
     shares = np.cumsum(rng.lognormal(0, _SPREAD, objects - lights))
-    ends = np.round((triangles - objects) * shares / shares[-1]).astype(int)  # beyond the one that each has at least
+    ends = np.round((triangles - objects) * shares / shares[-1]).astype(int)  # one triangle each is set aside
     return np.concatenate([1 + np.diff(ends, prepend=0), np.ones(lights, int)])
 
 
 def _triangles(sizes: Int[np.ndarray, " objects"], rng: np.random.Generator) -> SceneTriangles:
-    """Spheres of small triangles in the unit box, and lights around it."""
+    """Draw spheres of small triangles in the unit box, and light sources around it."""
     total, objects = int(sizes.sum()), len(sizes)
     lights = min(LIGHTS, objects // 2)
     owner = np.repeat(np.arange(objects), sizes)
     centres = np.concatenate([rng.uniform(-0.4, 0.4, (objects - lights, 3)), 2.4 * _directions(rng, lights)])
-    edge = 2 / np.sqrt(sizes)[owner, None, None]  # of triangles that cover a sphere
-    normals = _normalised(_directions(rng, total)[:, None] + edge * rng.normal(size=(total, 3, 3)))
+    edge = 2 / np.sqrt(sizes)[owner, None, None]  # the triangles of an object cover its sphere
+    normals = _normalized(_directions(rng, total)[:, None] + edge * rng.normal(size=(total, 3, 3)))
     reflectance = np.repeat(rng.uniform(0.05, 0.5, (objects, 7)), sizes, axis=0)
     emission = np.where(owner >= objects - lights, 3000.0, 0.0)[:, None].repeat(3, axis=1)
     return SceneTriangles(
@@ -96,8 +95,8 @@ def _triangles(sizes: Int[np.ndarray, " objects"], rng: np.random.Generator) -> 
 
 
 def _directions(rng: np.random.Generator, count: int) -> Float[np.ndarray, "count 3"]:
-    return _normalised(rng.normal(size=(count, 3)))
+    return _normalized(rng.normal(size=(count, 3)))
 
 
-def _normalised(vectors: Float[np.ndarray, "*rows 3"]) -> Float[np.ndarray, "*rows 3"]:
+def _normalized(vectors: Float[np.ndarray, "*rows 3"]) -> Float[np.ndarray, "*rows 3"]:
     return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)

@@ -1,4 +1,4 @@
-"""The plot of cost over triangles, from the CSV file of the benchmark.
+"""Plot cost over triangles from the table of the benchmark.
 
 python -m rfpp.benchmark.cost.plot data/results/cost.csv
 """
@@ -10,20 +10,20 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 
 from rfpp.benchmark import plotting
-from rfpp.benchmark.cost.rows import Row, read_rows
+from rfpp.benchmark.cost.measuring import COLUMNS
+from rfpp.benchmark.csv_rows import command, read_rows
 from rfpp.errors import UserError
 
-#: The sweep that is plotted, and the range of triangles in which the exponent is fitted.
-SWEEP = "triangles"
+#: Case of the plotted rows, which differ in the number of triangles.
+CASE = {"objects": "50", "views": "1", "resolution": "256", "scenes": "1", "compiled": "false"}
+#: Range of triangles in which the exponent is fitted.
 FITTED = (10_000, 80_000)
 
-_COLOURS = ("tab:red", "tab:blue")
-#: Panel → its label and column, and its quantities with their lines.
+_COLORS = ("tab:red", "tab:blue")
+#: Panel → unit, column, and line style of each quantity.
 _PANELS = {
     "View-independent stage": ("s", "seconds", {"encode": "-"}),
     "Rendering a view": ("s", "seconds", {"render": "-"}),
@@ -33,107 +33,85 @@ _PANELS = {
         {"render": ":", "training_step": "-", "checkpointed_training_step": "--", "least_memory_training_step": "-."},
     ),
 }  # fmt: skip
-_NAMES = {
+_LABELS = {
+    "encode": "encoding",
+    "render": "rendering",
     "training_step": "training",
     "checkpointed_training_step": "training, blocks recomputed",
-    "least_memory_training_step": "training, objects recomputed",
+    "least_memory_training_step": "training, least memory",
 }
 
+Rows = Sequence[dict[str, str]]
 
-def swept_rows(path: Path) -> list[Row]:
-    """The rows of the sweep over triangles. Raises UserError naming the file."""
-    rows = [row for row in read_rows(path) if row["sweep"] == SWEEP]
+
+def swept_rows(path: Path) -> Rows:
+    """Return the rows over triangles. Raises UserError naming the file."""
+    rows = [row for row in read_rows(path, "cost", COLUMNS) if CASE.items() <= row.items()]
     if not rows:
-        raise UserError(f"{path}: has no sweep '{SWEEP}': measure it with benchmark.only=[{SWEEP}] or all sweeps")
+        raise UserError(f"{path}: no row with {CASE}: measure other triangles with benchmark.groups")
     return rows
 
 
-def curve(rows: Sequence[Row], network: str, quantity: str, column: str) -> tuple[np.ndarray, np.ndarray]:
-    """Triangles in order, and values; what could not be measured is NaN."""
-    points = sorted(
-        (int(row["triangles"]), float(row[column] or "nan"))
-        for row in rows
-        if (row["network"], row["quantity"]) == (network, quantity)
-    )
+def curve(rows: Rows, network: str, quantity: str, column: str) -> tuple[np.ndarray, np.ndarray]:
+    """Return sorted triangles and their values; NaN where the network failed."""
+    found = [row for row in rows if (row["network"], row["quantity"]) == (network, quantity)]
+    points = sorted((int(row["triangles"]), float(row[column] or "nan")) for row in found)
     triangles, values = np.array(points, float).reshape(-1, 2).T
     return triangles, values
 
 
-def exponent(triangles: np.ndarray, seconds: np.ndarray) -> float | None:
-    """p of the time c · triangles ** p that fits best within FITTED; None where fewer than two points are there."""
-    there = np.isfinite(seconds) & (triangles >= FITTED[0]) & (triangles <= FITTED[1])
-    if there.sum() < 2:
-        return None
-    return float(np.polyfit(np.log(triangles[there]), np.log(seconds[there]), 1)[0])
+def exponents(rows: Rows) -> dict[str, float | None]:
+    """Fit p of c · triangles ** p to each network's view-independent stage; None with fewer than two points."""
+    fitted = {}
+    for name in dict.fromkeys(row["network"] for row in rows):
+        triangles, seconds = curve(rows, name, "encode", "seconds")
+        used = np.isfinite(seconds) & (triangles >= FITTED[0]) & (triangles <= FITTED[1])
+        logs = np.log(triangles[used]), np.log(seconds[used])
+        fitted[name] = float(np.polyfit(*logs, 1)[0]) if used.sum() > 1 else None
+    return fitted
 
 
-def exponents(rows: Sequence[Row]) -> dict[str, float | None]:
-    """Network → exponent of its view-independent stage."""
-    return {name: exponent(*curve(rows, name, "encode", "seconds")) for name in _networks(rows)}
-
-
-def figure(rows: Sequence[Row]) -> Figure:
-    """Every network over triangles, on logarithmic axes."""
-    made, axes = plt.subplots(2, 2, figsize=(11, 8), layout="constrained", sharex=True)
-    fitted = exponents(rows)
+def figure(rows: Rows) -> Figure:
+    """Draw every network over triangles, on logarithmic axes; crosses are failures."""
+    drawn, axes = plt.subplots(2, 2, figsize=(11, 8), layout="constrained", sharex=True)
+    networks = list(dict.fromkeys(row["network"] for row in rows))
     for axis, (title, (unit, column, lines)) in zip(axes.flat, _PANELS.items(), strict=True):
-        for name, colour in zip(fitted, _COLOURS, strict=False):
-            for quantity, line in lines.items():
-                _draw(axis, *curve(rows, name, quantity, column), line, colour)
+        for name, color in zip(networks, _COLORS, strict=False):
+            for quantity, style in lines.items():
+                triangles, values = curve(rows, name, quantity, column)
+                label = f"{name}, {_LABELS[quantity]}"
+                axis.plot(triangles, values, style, color=color, marker="o", markersize=4, label=label)
+                failed = triangles[np.isnan(values)]
+                height = np.full(len(failed), 0.97)
+                axis.plot(failed, height, "x", color=color, transform=axis.get_xaxis_transform())
         axis.set(title=title, ylabel=unit, xscale="log", yscale="log")
         axis.grid(which="both", alpha=0.2)
-        handles = _legend(fitted, lines, exponent_too="encode" in lines)
-        if len(lines) > 2:  # many curves leave the legend no room
+        if len(lines) > 2:  # room for the legend
             axis.set_ylim(bottom=axis.get_ylim()[0] / 4)
-            axis.legend(handles=handles, fontsize="small", loc="lower right", ncols=2)
-        else:
-            axis.legend(handles=handles, fontsize="small")
+        axis.legend(fontsize="x-small", ncols=1 + (len(lines) > 2))
     measured = sorted({int(row["triangles"]) for row in rows})
-    for axis in axes[1]:  # shared with those above
+    for axis in axes[1]:  # shares its ticks with the axis above
         axis.set_xlabel("triangles")
         axis.set_xticks(measured, [f"{n / 1000:g}K" for n in measured])
         axis.xaxis.minorticks_off()
     about = {key: rows[0].get(key, "") for key in ("hardware", "precision", "objects", "resolution", "commit")}
-    made.suptitle("{hardware}, {precision}, {objects} objects, {resolution}², commit {commit}".format(**about))
-    return made
-
-
-def _draw(axis: Axes, triangles: np.ndarray, values: np.ndarray, line: str, colour: str) -> None:
-    axis.plot(triangles, values, line, color=colour, marker="o", markersize=4)
-    missing = triangles[np.isnan(values)]
-    if line != ":":  # of rendering it is seen in its own panel
-        axis.plot(missing, np.full(len(missing), 0.97), "x", color=colour, transform=axis.get_xaxis_transform())
-
-
-def _legend(fitted: dict[str, float | None], lines: dict[str, str], exponent_too: bool) -> list[Line2D]:
-    handles = []
-    for (name, power), colour in zip(fitted.items(), _COLOURS, strict=False):
-        label = f"{name} ∝ triangles^{power:.2f}" if exponent_too and power is not None else name
-        handles.append(Line2D([], [], color=colour, marker="o", markersize=4, label=label))
-    if len(lines) > 1:
-        handles += [
-            Line2D([], [], color="grey", linestyle=style, label=_NAMES.get(quantity, quantity))
-            for quantity, style in lines.items()
-        ]
-    return [*handles, Line2D([], [], color="grey", linestyle="", marker="x", label="out of memory or time")]
-
-
-def _networks(rows: Sequence[Row]) -> list[str]:
-    return list(dict.fromkeys(row["network"] for row in rows))
+    text = "{hardware}, {precision}, {objects} objects, {resolution}², commit {commit}; ×: out of memory or time"
+    drawn.suptitle(text.format(**about))
+    return drawn
 
 
 def plot(path: Path) -> Path:
-    """Prints the exponents and writes the plot beside the table. Raises UserError naming the file."""
+    """Print the exponents and save the plot beside the table. Raises UserError naming the file."""
     rows = swept_rows(path)
     for name, power in exponents(rows).items():
-        shown = "too few points" if power is None else f"triangles^{power:.2f}"
-        print(f"{name}: view-independent stage from {FITTED[0]:,} to {FITTED[1]:,} triangles: {shown}")
-    return plotting.saved(figure(rows), path)
+        fit = "too few points" if power is None else f"triangles^{power:.2f}"
+        print(f"{name}: view-independent stage from {FITTED[0]:,} to {FITTED[1]:,} triangles: {fit}")
+    return plotting.save(figure(rows), path)
 
 
 def main(arguments: Sequence[str] | None = None) -> Path:
-    """See `plotting.command`."""
-    return plotting.command("cost", __doc__, plot, arguments)
+    """Run the command of the module's docstring."""
+    return command("cost", __doc__, plot, arguments)
 
 
 if __name__ == "__main__":

@@ -1,12 +1,16 @@
-"""Timed tasks: rendering and training steps."""
+"""Tasks to measure: rendering, and training steps with and without activation checkpointing.
+
+A task prepares a network and a batch on the setting's device, and returns a function that executes it once. The last of
+its quantities covers the whole task, and peak memory belongs to it. `flops` counts the operations of each quantity for
+a network and a batch on "meta".
+"""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import cached_property
-from typing import Any, ClassVar, Protocol, runtime_checkable
+from typing import Any
 
 import torch
 from torch import nn
@@ -19,52 +23,48 @@ from rfpp.checkpoint.network_building import build
 from rfpp.errors import UserError
 from rfpp.inference.object_encoder import ObjectEncoder
 from rfpp.losses.rendering import RenderingLoss
-from rfpp.model.layers.matrix_precision import convert_blocks
-from rfpp.model.renderformer_pp import EncodedScenes, RenderFormerPP
 from rfpp.model.hoct import ObjectTokens
-from rfpp.training.blocks import RecomputedBlocks, RecomputedObjects, compile_blocks
+from rfpp.model.layers.matrix_precision import convert_blocks
+from rfpp.model.renderformer_pp import RenderFormerPP
 from rfpp.training.flops import training_flops
 from rfpp.training.module import decay_groups
 
-#: By Lightning's names.
+#: Data types of matrix products, by Lightning's names.
 PRECISIONS = {"bf16-mixed": torch.bfloat16, "32-true": torch.float32}
+
+#: Execute a task once; return the seconds of each quantity.
+Run = Callable[[], dict[str, float]]
 
 
 @dataclass(frozen=True)
 class Untrained:
-    """A network to be made where it is needed: random weights cost what trained ones do.
+    """Network with random weights, which costs as much as a trained one.
 
     Attributes:
-        name: in the rows.
-        model: nested `_target_` config.
+        name: Name in the rows.
+        model: Nested `_target_` configuration.
     """
 
     name: str
     model: dict[str, Any]
 
     def __call__(self, device: str) -> RenderFormerPP:
-        """On "meta" it takes no memory, and computes shapes only."""
+        """Build the network; on "meta" it has shapes but takes no memory."""
         with torch.device(device):
             return build(self.model, self.name).to(device)
 
 
 @dataclass(frozen=True)
 class Setting:
-    """How every network runs.
+    """Device and precision of all measurements.
 
     Attributes:
-        device: "cpu", "cuda", or "auto": a GPU if there is one.
+        device: "cpu", "cuda", or "auto" for a GPU if there is one.
         precision: "bf16-mixed" (autocast, as in training) or "32-true".
-        threads: of the CPU; None: as many as PyTorch chooses.
-        compile: the transformer blocks, as training does where it is asked to.
-        seed: of weights and scenes.
     """
 
     device: str
     precision: str
-    threads: int | None
-    compile: bool
-    seed: int
 
     def __post_init__(self) -> None:
         if self.precision not in PRECISIONS:
@@ -74,84 +74,59 @@ class Setting:
         if self.device == "cuda" and not torch.cuda.is_available():
             raise UserError("device=cuda: PyTorch finds no GPU: choose device=cpu")
 
-    @cached_property
+    @property
     def where(self) -> str:
-        """ "cpu" or "cuda"."""
+        """The device in use, "cpu" or "cuda"."""
         return ("cuda" if torch.cuda.is_available() else "cpu") if self.device == "auto" else self.device
 
     @property
     def dtype(self) -> torch.dtype:
-        """Of matrix products."""
+        """Data type of matrix products."""
         return PRECISIONS[self.precision]
 
     def apply(self) -> None:
-        """To this process, as the commands do."""
+        """Configure this process as training and rendering do."""
         keep_freed_memory()
         torch.set_float32_matmul_precision("high")
-        torch.manual_seed(self.seed)
-        if self.threads is not None:
-            torch.set_num_threads(self.threads)
-
-    def network(self, untrained: Untrained) -> RenderFormerPP:
-        """On the device."""
-        made = untrained(self.where)
-        if self.compile:
-            compile_blocks(made)
-        return made
+        torch.manual_seed(0)
 
     def autocast(self) -> torch.autocast:
+        """Return a new autocast context."""
         return torch.autocast(self.where, self.dtype, enabled=self.dtype != torch.float32)
 
     def now(self) -> float:
-        """Seconds, once the device has done all it was asked to do."""
+        """Wait for the device, then return the time in seconds."""
         if self.where == "cuda":
             torch.cuda.synchronize()
         return time.perf_counter()
 
 
-@runtime_checkable
-class Task(Protocol):
-    """Something to be timed again and again.
-
-    Attributes:
-        quantities: names of what is measured, the whole last: it is what the peak of memory belongs to.
-    """
-
-    quantities: ClassVar[tuple[str, ...]]
-
-    def prepared(self, network: RenderFormerPP, batch: RaggedBatch, setting: Setting) -> Callable[[], dict[str, float]]:
-        """What does the task once and returns the seconds of each quantity."""
-
-    def flops(self, network: RenderFormerPP, batch: RaggedBatch) -> dict[str, float]:
-        """Operations of each quantity."""
-
-
 @dataclass(frozen=True)
 class Inference:
-    """encode: the view-independent stage; view: one view of every scene; render: encode, and all views in turn.
+    """Rendering of all views of a batch, one view of every scene at a time, as the renderer does it.
 
-    As the renderer does it, which remembers nothing here.
+    Quantities: `encode` is the view-independent stage, `view` one view, `render` the encoding and all views.
     """
 
     quantities = ("encode", "view", "render")
 
-    def prepared(self, network: RenderFormerPP, batch: RaggedBatch, setting: Setting) -> Callable[[], dict[str, float]]:
+    def prepare(self, name: str, network: RenderFormerPP, batch: RaggedBatch, setting: Setting) -> Run:
         network.eval()
         convert_blocks(network, setting.dtype)
         on_cpu = batch.to("cpu")
-
-        def encode() -> EncodedScenes:
-            if isinstance(network.tokenizer, ObjectTokens):
-                return ObjectEncoder(network, torch.device(setting.where)).encode(on_cpu)
-            return network.encode(batch)
+        by_object = isinstance(network.tokenizer, ObjectTokens)
 
         @torch.inference_mode()
         def run() -> dict[str, float]:
             with setting.autocast():
                 begin = setting.now()
-                scenes = encode()
+                if by_object:  # a new encoder, which has no tokens cached
+                    encoder = ObjectEncoder(network, torch.device(setting.where))
+                    scenes = network.transported(*encoder.tokenize(on_cpu))
+                else:
+                    scenes = network.encode(batch)
                 encoded = setting.now()
-                for v in range(batch.num_views):  # one at a time, as the renderer does
+                for v in range(batch.num_views):
                     one = slice(v, v + 1)
                     network.view(scenes, batch.c2w[:, one], batch.fov[:, one], batch.gbuffer[:, one])
                 end = setting.now()
@@ -171,24 +146,32 @@ class Inference:
 
 @dataclass(frozen=True)
 class TrainingStep:
-    """Forward pass, loss, backward pass, clipping, and the optimizer's step.
+    """Forward pass, loss, backward pass, gradient clipping and optimizer step.
 
     Attributes:
-        loss: see RenderingLoss.
-        optimizer: parameter groups → optimizer.
-        gradient_clip: largest norm of the gradient.
+        quantity: Name of the step in the rows.
+        loss: Training objective.
+        optimizer: Function from parameter groups to an optimizer.
+        gradient_clip: Maximum norm of the gradient.
+        checkpointing: Network name → activation checkpointing; other networks keep all activations.
     """
 
+    quantity: str
     loss: RenderingLoss
     optimizer: Callable[..., Optimizer]
     gradient_clip: float | int
+    checkpointing: Mapping[str, Callable[[nn.Module], None]]
 
-    quantities = ("training_step",)
+    @property
+    def quantities(self) -> tuple[str, ...]:
+        return (self.quantity,)
 
-    def prepared(self, network: RenderFormerPP, batch: RaggedBatch, setting: Setting) -> Callable[[], dict[str, float]]:
+    def prepare(self, name: str, network: RenderFormerPP, batch: RaggedBatch, setting: Setting) -> Run:
         network.train()
+        if name in self.checkpointing:
+            self.checkpointing[name](network)
         loss, optimizer = self.loss.to(setting.where), self.optimizer(decay_groups(network))
-        # gradients and moments are there from the first step on, as they are in all later ones
+        # allocate gradients and moments now: they exist in every step but the first
         for parameter in network.parameters():
             parameter.grad = torch.zeros_like(parameter)
         optimizer.step()
@@ -196,51 +179,19 @@ class TrainingStep:
         def run() -> dict[str, float]:
             begin = setting.now()
             with setting.autocast():
-                made = network(batch)
-                terms = loss(made.log_radiance, made.transport_states, batch.image, made.token_segments)
-            optimizer.zero_grad()  # where Lightning does it, which decides what memory holds at once
+                rendering = network(batch)
+                states, segments = rendering.transport_states, rendering.token_segments
+                terms = loss(rendering.log_radiance, states, batch.image, segments)
+            optimizer.zero_grad()  # after the forward pass, as in Lightning: this decides the peak of memory
             terms["loss"].backward()
             nn.utils.clip_grad_norm_(network.parameters(), self.gradient_clip)
             optimizer.step()
-            return {self.quantities[-1]: setting.now() - begin}
+            return {self.quantity: setting.now() - begin}
 
         return run
 
     def flops(self, network: RenderFormerPP, batch: RaggedBatch) -> dict[str, float]:
-        return {self.quantities[-1]: training_flops(network, batch)}
+        return {self.quantity: training_flops(network, batch)}  # recomputation is not counted
 
 
-@dataclass(frozen=True)
-class CheckpointedTrainingStep(TrainingStep):
-    """The same with activation checkpointing; what is computed anew does not count as operations.
-
-    Attributes:
-        policy: of every network.
-    """
-
-    policy: RecomputedBlocks
-
-    quantities = ("checkpointed_training_step",)
-
-    def prepared(self, network: RenderFormerPP, batch: RaggedBatch, setting: Setting) -> Callable[[], dict[str, float]]:
-        self.policy(network)
-        return super().prepared(network, batch, setting)
-
-
-@dataclass(frozen=True)
-class LeastMemoryTrainingStep(TrainingStep):
-    """The same with the activation checkpointing that leaves each network the least memory.
-
-    Attributes:
-        by_object, otherwise: of networks with and without object tokens.
-    """
-
-    by_object: RecomputedObjects
-    otherwise: RecomputedBlocks
-
-    quantities = ("least_memory_training_step",)
-
-    def prepared(self, network: RenderFormerPP, batch: RaggedBatch, setting: Setting) -> Callable[[], dict[str, float]]:
-        policy = self.by_object if isinstance(network.tokenizer, ObjectTokens) else self.otherwise
-        policy(network)
-        return super().prepared(network, batch, setting)
+Task = Inference | TrainingStep

@@ -1,1 +1,1 @@
-"""A record per image and predictor, and means over scenes with intervals."""
+"""Scores per scene and predictor, and their means with confidence intervals."""

@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from rfpp.evaluation.measuring.records import SceneRecord
 
-#: Percentiles between which 95% of the resampled means lie.
+#: Percentiles that enclose 95% of the resampled means.
 INTERVAL = (2.5, 97.5)
 
 
@@ -20,9 +20,10 @@ class Estimate:
     """A mean over scenes with its 95% confidence interval.
 
     Attributes:
-        mean: NaN where a scene's value is.
-        low, high: ends of the interval; NaN for a single scene, which says nothing of others.
-        scenes: number of scenes behind it.
+        mean: Mean over scenes; NaN if any value is NaN.
+        low: Lower end of the interval; NaN for a single scene.
+        high: Upper end of the interval; NaN for a single scene.
+        scenes: Number of scenes.
     """
 
     mean: float
@@ -36,26 +37,24 @@ class Estimate:
         return (self.high - self.low) / 2
 
 
-#: By metric name.
+#: Estimates by metric name.
 Estimates = Mapping[str, Estimate]
 
 
 @dataclass(frozen=True)
 class Bootstrap:
-    """The percentile bootstrap over scenes (Efron 1979): the same scenes drawn again, with replacement.
-
-    A pure function of its input: equal numbers of scenes are resampled alike, whatever was asked before.
+    """Percentile bootstrap over scenes (Efron 1979).
 
     Attributes:
-        resamples: number of draws.
-        seed: of the draws.
+        resamples: Number of resamples.
+        seed: Seed of the resampling; every call starts from it.
     """
 
     resamples: int
     seed: int
 
     def __call__(self, values: Float[np.ndarray, "scenes metrics"]) -> list[Estimate]:
-        """The estimate of each column."""
+        """Estimate the mean of each column."""
         scenes = len(values)
         if scenes == 1:
             return [Estimate(float(value), np.nan, np.nan, 1) for value in values[0]]
@@ -63,30 +62,27 @@ class Bootstrap:
         return [self._estimate(column, draws) for column in values.T]
 
     def _estimate(self, column: np.ndarray, draws: np.ndarray) -> Estimate:
-        # percentiles that are one of the means: between two infinite ones there is nothing to interpolate
+        # this method returns one of the means: interpolating between two infinite ones would give NaN
         low, high = np.percentile(column[draws].mean(axis=1), INTERVAL, method="inverted_cdf")
         return Estimate(float(column.mean()), float(low), float(high), len(column))
 
 
-def estimates(records: Sequence[SceneRecord], bootstrap: Bootstrap) -> dict[str, Estimate]:
-    """Estimates of one predictor's records, by metric."""
-    names = list(records[0].values)
-    values = np.array([[record.values[name] for name in names] for record in records])
-    return dict(zip(names, bootstrap(values), strict=True))
-
-
 def split_estimates(records: Iterable[SceneRecord], bootstrap: Bootstrap) -> dict[tuple[str, str], Estimates]:
-    """Estimates by (split, predictor), with equal weight for each scene."""
+    """Return estimates by (split, predictor), with equal weight for each scene."""
     grouped = defaultdict(list)
     for record in records:
-        grouped[record.split, record.predictor].append(record)
-    return {key: estimates(group, bootstrap) for key, group in grouped.items()}
+        grouped[record.split, record.predictor].append(record.values)
+    means = {}
+    for key, group in grouped.items():
+        columns = bootstrap(np.array([[values[name] for name in group[0]] for values in group]))
+        means[key] = dict(zip(group[0], columns, strict=True))
+    return means
 
 
 def mean_of_parts(parts: Sequence[Estimate]) -> Estimate:
-    """Mean of estimates from different scenes, such as two splits, with equal weights.
+    """Return the mean of estimates from different scenes, such as two splits, with equal weights.
 
-    Their errors are independent: the distances to the interval's ends add in quadrature.
+    Their errors are independent, so the distances to the interval's ends add in quadrature.
     """
     mean = np.mean([part.mean for part in parts])
     below = np.linalg.norm([part.mean - part.low for part in parts]) / len(parts)
@@ -95,6 +91,6 @@ def mean_of_parts(parts: Sequence[Estimate]) -> Estimate:
 
 
 def mean_of_seeds(seeds: Sequence[Estimate]) -> Estimate:
-    """Mean of estimates from the same scenes: their errors are correlated, so interval ends are averaged, too."""
+    """Return the mean of estimates from the same scenes. Their errors are correlated, so interval ends are averaged."""
     mean, low, high = np.mean([(seed.mean, seed.low, seed.high) for seed in seeds], axis=0).tolist()
     return Estimate(mean, low, high, seeds[0].scenes)

@@ -1,12 +1,11 @@
-"""evaluation.json: one evaluation of one checkpoint, as read by the tables of results."""
+"""evaluation.json: the evaluation of one checkpoint, as read by tables and model cards."""
 
 from __future__ import annotations
 
 import json
 import math
 from collections import defaultdict
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -16,7 +15,6 @@ import torch
 from rfpp.checkpoint.loading import CheckpointInfo
 from rfpp.errors import UserError
 from rfpp.evaluation.measuring.confidence import Estimate, Estimates
-from rfpp.evaluation.measuring.training_cost import TrainingCost
 from rfpp.files import write_atomically
 from rfpp.metrics.image import METRICS
 from rfpp.shards.manifest import Manifest
@@ -30,13 +28,18 @@ class Evaluation:
     """Scores of one checkpoint and the trivial baselines on one data set.
 
     Attributes:
-        method, trained_on, seed, steps, commit: of the checkpoint; its data set by name.
-        data, data_manifest: name and hash of the data set it was evaluated on.
-        hardware: it was evaluated on.
-        definitions: by metric name: the formula with its tone map and epsilon.
-        means: by split, predictor ("model" or a baseline's name) and metric.
-        cost: of training, where it is known.
-        life: by split, see `rfpp.evaluation.measuring.disabled_parts`; empty in evaluations that were made without.
+        method: Name of the method.
+        trained_on: Name of the training data set.
+        seed: Seed of the training.
+        steps: Optimizer steps, if known.
+        commit: Code version of the training, if known.
+        data: Name of the evaluated data set.
+        data_manifest: Hash of its manifest.
+        hardware: Device of the evaluation.
+        definitions: Formula with tone map and epsilon, by metric name.
+        means: Estimates by (split, predictor), then by metric name.
+        ablation: Growth of log-L1 by split and ablation (`rfpp.losses.ablation`).
+        transport: Residual and log-L1 after each application of the operator, by split.
     """
 
     method: str
@@ -49,8 +52,8 @@ class Evaluation:
     hardware: str
     definitions: Mapping[str, str]
     means: Mapping[tuple[str, str], Estimates]
-    cost: TrainingCost | None = None
-    life: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    ablation: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    transport: Mapping[str, Mapping[str, Sequence[float]]] = field(default_factory=dict)
 
     @classmethod
     def of(
@@ -59,11 +62,10 @@ class Evaluation:
         manifest: Manifest,
         device: torch.device,
         means: Mapping[tuple[str, str], Estimates],
-        cost: TrainingCost | None = None,
-        life: Mapping[str, Mapping[str, float]] | None = None,
+        **measured: Mapping[str, Any],
     ) -> Evaluation:
-        """Of the checkpoint that `info` describes, on the data of `manifest`, computed on `device`."""
-        measured = {name for values in means.values() for name in values}
+        """Describe the checkpoint of `info` on the data of `manifest`, computed on `device`."""
+        names = {name for values in means.values() for name in values}
         return cls(
             method=info.method,
             trained_on=info.dataset,
@@ -73,63 +75,78 @@ class Evaluation:
             data=manifest.name,
             data_manifest=manifest.hash,
             hardware=hardware(device),
-            definitions={name: metric.definition for name, metric in METRICS.items() if name in measured},
+            definitions={name: metric.definition for name, metric in METRICS.items() if name in names},
             means=means,
-            cost=cost,
-            life=life or {},
+            **measured,
         )
 
     @classmethod
     def read(cls, path: Path) -> Evaluation:
-        """Raises UserError naming the file: absent, unreadable, or not an evaluation."""
-        with reading(path):
-            return cls.from_json(json.loads(path.read_bytes()))
+        """Read evaluation.json.
 
-    @classmethod
-    def from_json(cls, content: Mapping[str, Any]) -> Evaluation:
-        """Inverse of `to_json`. Raises ValueError, KeyError, TypeError or AttributeError for anything else."""
-        rest = {key: value for key, value in content.items() if key not in ("splits", "cost")}
-        means = {
-            (split, predictor): {name: _estimate(numbers) for name, numbers in values.items()}
-            for split, predictors in content["splits"].items()
-            for predictor, values in predictors.items()
-        }
-        cost = content.get("cost")
-        return cls(**rest, means=means, cost=cost and TrainingCost(**cost))
+        Raises:
+            UserError: If the file is missing, unreadable or not an evaluation, or a metric has changed since.
+        """
+        try:
+            content = json.loads(path.read_bytes())
+            means = {
+                (split, predictor): {name: _estimate(numbers) for name, numbers in values.items()}
+                for split, predictors in content.pop("splits").items()
+                for predictor, values in predictors.items()
+            }
+            evaluation = cls(**content, means=means)
+        except OSError as error:
+            raise UserError(f"{path}: cannot be read ({error.strerror}): correct the path") from None
+        except (ValueError, KeyError, TypeError, AttributeError) as error:
+            raise UserError(f"{path}: not an evaluation ({error!r}): make it again with launch/evaluate.py") from None
+        for name, definition in evaluation.definitions.items():
+            if name not in METRICS or METRICS[name].definition != definition:
+                raise UserError(f"{path}: the definition of '{name}' has changed: evaluate again")
+        return evaluation
 
-    def to_json(self) -> dict[str, Any]:
-        """Nested dictionaries of text, numbers and None."""
+    def write(self, folder: Path) -> Path:
+        """Write evaluation.json into `folder`; return its path.
+
+        Raises:
+            UserError: If the file cannot be written.
+        """
         splits: dict[str, dict[str, Any]] = defaultdict(dict)
         for (split, predictor), values in self.means.items():
             splits[split][predictor] = {name: _numbers(estimate) for name, estimate in values.items()}
-        return {**{key: value for key, value in asdict(self).items() if key != "means"}, "splits": dict(splits)}
-
-    def write(self, folder: Path) -> Path:
-        """Write evaluation.json into `folder`; returns its path. Raises UserError: it cannot be written."""
-        text = json.dumps(self.to_json(), indent=1, allow_nan=False)
-        return write_atomically(folder / EVALUATION_FILE, text.encode())
+        content = {key: value for key, value in asdict(self).items() if key != "means"} | {"splits": splits}
+        return write_atomically(folder / EVALUATION_FILE, json.dumps(content, indent=1, allow_nan=False).encode())
 
 
-@contextmanager
-def reading(path: Path) -> Iterator[None]:
-    """Turns errors inside the block into a UserError that names the file."""
-    try:
-        yield
-    except OSError as error:
-        raise UserError(f"{path}: cannot be read ({error.strerror}): correct the path") from None
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise UserError(f"{path}: not an evaluation ({error!r}): make it again with launch/evaluate.py") from None
+def read_evaluations(paths: Iterable[Path]) -> list[Evaluation]:
+    """Read evaluations and check that they are comparable.
 
+    Args:
+        paths: Files, or folders that are searched recursively. Copies of an evaluation count once.
 
-def require_known_metrics(evaluation: Evaluation, path: Path) -> None:
-    """Raises UserError naming the file if the definition of one of its metrics has changed."""
-    for name, definition in evaluation.definitions.items():
-        if name not in METRICS or METRICS[name].definition != definition:
-            raise UserError(f"{path}: '{name}' is by now another metric ({definition}): evaluate again")
+    Raises:
+        UserError: If nothing is found, a file is not an evaluation, or two files are not comparable: different
+            definitions of a metric, two versions of a data set, or one network twice on the same data.
+    """
+    found: dict[str, tuple[Path, Evaluation]] = {}
+    for path in paths:
+        files = sorted(path.rglob(EVALUATION_FILE)) if path.is_dir() else [path]
+        if not files:
+            raise UserError(f"{path}: no {EVALUATION_FILE} in this folder: make one with launch/evaluate.py")
+        for file in files:
+            evaluation = Evaluation.read(file)
+            found.setdefault(repr(evaluation), (file, evaluation))
+    known: dict[str, tuple[Path, object]] = {}
+    for file, e in found.values():
+        network = f"{e.method} (trained on {e.trained_on}, {e.steps} steps, seed {e.seed}, commit {e.commit})"
+        for what, value in ((f"the data set '{e.data}'", e.data_manifest), (f"{network} on '{e.data}'", file)):
+            other, first = known.setdefault(what, (file, value))
+            if value != first:
+                raise UserError(f"{file}: {what} differs from the one in {other}: omit one of the two files")
+    return [evaluation for _, evaluation in found.values()]
 
 
 def _numbers(estimate: Estimate) -> dict[str, float | str]:
-    """JSON has no NaN and no infinity: they are written as words, which `float` understands."""
+    """Convert to JSON numbers; NaN and infinity, which JSON lacks, become words that `float` reads."""
     return {key: value if math.isfinite(value) else str(value) for key, value in asdict(estimate).items()}
 
 

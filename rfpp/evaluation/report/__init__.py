@@ -1,1 +1,1 @@
-"""Pages, plots and panels of an evaluation, to look at."""
+"""HTML report of an evaluation."""

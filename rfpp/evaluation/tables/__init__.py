@@ -1,1 +1,1 @@
-"""Tables: the paper's with ours beside them, light transport, what an evaluation prints."""
+"""Tables of results: in the terminal, and the paper's with ours beside them."""

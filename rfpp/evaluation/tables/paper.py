@@ -1,12 +1,12 @@
-"""The numbers of RenderFormer++'s tables, as printed.
+"""Numbers of RenderFormer++'s tables, as printed.
 
-Table 2 does not say what it averages, but the rows that it shares with Table 1 do: its numbers are the plain means of
-theirs over data sets and splits. RenderFormer++ (K=3) has a mean L1 of 0.0877 over its four entries in Table 1 and
-0.0876 in Table 2, MAPE 0.2282 and 0.2281, LPIPS 0.1182 and 0.1182; only SSIM does not fit, 0.8786 and 0.8758. Our
-Table 2 is averaged in the same way.
+The paper does not say what Table 2 averages. The rows that it shares with Table 1 show that its numbers are plain means
+over data sets and splits: RenderFormer++ (K=3) has a mean L1 of 0.0877 over its four entries in Table 1 and 0.0876 in
+Table 2, MAPE 0.2282 and 0.2281, LPIPS 0.1182 and 0.1182. Only SSIM differs, 0.8786 and 0.8758. Our Table 2 is averaged
+in the same way.
 
 RenderFormer* in the upper part of Table 2 is likewise the mean of its two small-scale entries in Table 1, although the
-heading says "RenderFormer Dataset". We go by the heading.
+heading says "RenderFormer Dataset". We follow the heading.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from dataclasses import dataclass
 #: Metrics of both tables, by our names.
 PAPER_METRICS = ("l1", "mape", "lpips", "ssim")
 
-#: Said of the full model (Sec. 4.1) and taken to hold for its ablations; RenderFormer's are not given.
+#: Stated for the full model (Sec. 4.1) and assumed for its ablations. RenderFormer's steps are not stated.
 PAPER_STEPS = 500_000
 
 TRAIN, TEST = "train_newviews", "test"
@@ -27,10 +27,10 @@ class PaperRow:
     """A row of a table.
 
     Attributes:
-        label: as printed.
-        method: our name of the same network.
-        values: one number for each column group and metric, groups outermost.
-        steps: optimizer steps, None where the paper does not say.
+        label: Label as printed.
+        method: Our name of the same network.
+        values: One number for each column group and metric, groups outermost.
+        steps: Optimizer steps; None if the paper does not state them.
     """
 
     label: str
@@ -41,7 +41,7 @@ class PaperRow:
 
 @dataclass(frozen=True)
 class PaperBlock:
-    """Rows under a common heading, all measured on the same data sets (by our names)."""
+    """Rows under a common heading, measured on the same data sets (by our names)."""
 
     heading: str
     data: tuple[str, ...]
@@ -53,10 +53,10 @@ class PaperTable:
     """A table of the paper.
 
     Attributes:
-        name: of its files.
-        title: caption.
-        groups: heading of each group of columns → the splits it is a mean over.
-        blocks: from top to bottom.
+        name: Name of its files.
+        title: Caption.
+        groups: Heading of each group of columns → splits that it averages.
+        blocks: Blocks from top to bottom.
     """
 
     name: str

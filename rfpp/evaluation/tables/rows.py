@@ -13,20 +13,17 @@ from rfpp.evaluation.measuring.evaluation_file import Evaluation
 from rfpp.evaluation.measuring.records import MODEL
 from rfpp.evaluation.tables.paper import PAPER_METRICS, PaperTable
 
-#: Name of the table of what neither of the paper's has a place for.
-OTHERS = "others"
-
-#: Heading of a group of columns → the splits it is a mean over.
+#: Heading of a group of columns → splits that it averages.
 Groups = Mapping[str, tuple[str, ...]]
 
 
 @dataclass(frozen=True)
 class Column:
-    """One group of columns in one line of a table.
+    """One group of columns in one row.
 
     Attributes:
-        means: by metric, over splits, data sets and seeds; empty where one of them is missing.
-        deviations: by metric, the standard deviation over seeds; empty for a single seed.
+        means: Estimates by metric, over splits, data sets and seeds; empty if one of them is missing.
+        deviations: Standard deviation over seeds by metric; empty for a single seed.
     """
 
     means: Estimates
@@ -35,11 +32,11 @@ class Column:
 
 @dataclass(frozen=True)
 class Run:
-    """Measurements of one training, or of several that differ only in their seeds.
+    """One training, or several that differ only in their seeds.
 
     Attributes:
-        evaluations: of each seed on each data set.
-        columns: for each group of columns.
+        evaluations: Evaluations of each seed on each data set.
+        columns: Numbers for each group of columns.
     """
 
     evaluations: Sequence[Evaluation]
@@ -47,6 +44,7 @@ class Run:
 
     @property
     def seeds(self) -> list[int]:
+        """Seeds of the runs."""
         return sorted({evaluation.seed for evaluation in self.evaluations})
 
 
@@ -55,11 +53,11 @@ class Row:
     """A method in a table.
 
     Attributes:
-        label: what it is called there.
-        runs: ours; none if it was not run.
-        paper: the paper's numbers, by metric for each group of columns; None if it is not in the paper.
-        paper_steps: how long it was trained there, if that is known.
-        is_baseline: it has no network and nothing that was trained, so one run at most.
+        label: Name in the table.
+        runs: Our runs; empty if there are none.
+        paper: The paper's numbers, by metric for each group of columns; None if the method is not in the paper.
+        paper_steps: Optimizer steps in the paper, if known.
+        is_baseline: Whether the method is a trivial baseline.
     """
 
     label: str
@@ -71,7 +69,15 @@ class Row:
 
 @dataclass(frozen=True)
 class ResultTable:
-    """A table of rows in named blocks, with the metrics that are its columns in each of its groups."""
+    """A table of rows in named blocks.
+
+    Attributes:
+        name: Name of its files.
+        title: Caption.
+        groups: Groups of columns.
+        metrics: Metrics in each group.
+        blocks: Headings and their rows.
+    """
 
     name: str
     title: str
@@ -80,56 +86,51 @@ class ResultTable:
     blocks: Sequence[tuple[str, Sequence[Row]]]
 
     def evaluations(self) -> list[Evaluation]:
-        """All that its networks' numbers come from."""
+        """Return the evaluations behind the rows, except for baselines."""
         rows = (row for _, rows in self.blocks for row in rows if not row.is_baseline)
         return [evaluation for row in rows for run in row.runs for evaluation in run.evaluations]
 
 
 def paper_table(table: PaperTable, evaluations: Sequence[Evaluation]) -> ResultTable:
-    """A table of the paper with our numbers in it; a row whose data sets or splits are incomplete counts as not run."""
+    """Put our numbers into a table of the paper. A run that lacks a data set or split of its row is omitted."""
     blocks = []
     for block in table.blocks:
         rows = []
         for row in block.rows:
-            mine = [e for e in evaluations if e.method == row.method]
-            runs = [r for r in _runs(mine, block.data, table.groups) if all(c.means for c in r.columns)]
+            ours = [e for e in evaluations if e.method == row.method]
+            runs = [run for run in _runs(ours, block.data, table.groups) if all(c.means for c in run.columns)]
             numbers = np.reshape(row.values, (len(table.groups), len(PAPER_METRICS))).tolist()
-            of_paper = [dict(zip(PAPER_METRICS, group, strict=True)) for group in numbers]
-            rows.append(Row(row.label, runs, of_paper, row.steps))
+            paper = [dict(zip(PAPER_METRICS, group, strict=True)) for group in numbers]
+            rows.append(Row(row.label, runs, paper, row.steps))
         blocks.append((block.heading, [*rows, *_baseline_rows(evaluations, block.data, table.groups)]))
     return ResultTable(table.name, table.title, table.groups, PAPER_METRICS, blocks)
 
 
-def other_table(evaluations: Sequence[Evaluation], placed: Sequence[Evaluation]) -> ResultTable:
-    """All evaluations that are not `placed` in another table, one block per data set."""
-    others = [e for e in evaluations if not any(e is other for other in placed)]
-    groups = {split: (split,) for e in others for split, _ in e.means}
+def other_table(evaluations: Sequence[Evaluation]) -> ResultTable:
+    """Put evaluations into a table with one block per data set."""
+    groups = {split: (split,) for e in evaluations for split, _ in e.means}
     blocks = []
-    for data in sorted({e.data for e in others}):
-        mine = [e for e in others if e.data == data]
-        methods = dict.fromkeys(e.method for e in mine)
-        rows = [Row(method, _runs([e for e in mine if e.method == method], (data,), groups)) for method in methods]
-        blocks.append((f"Data set '{data}'", [*rows, *_baseline_rows(mine, (data,), groups)]))
-    metrics = list(dict.fromkeys(name for e in others for name in e.definitions))
-    return ResultTable(OTHERS, "Evaluations beyond the paper's tables", groups, metrics, blocks)
+    for data in sorted({e.data for e in evaluations}):
+        ours = [e for e in evaluations if e.data == data]
+        methods = dict.fromkeys(e.method for e in ours)
+        rows = [Row(method, _runs([e for e in ours if e.method == method], (data,), groups)) for method in methods]
+        blocks.append((f"Data set '{data}'", [*rows, *_baseline_rows(ours, (data,), groups)]))
+    metrics = list(dict.fromkeys(name for e in evaluations for name in e.definitions))
+    return ResultTable("others", "Evaluations beyond the paper's tables", groups, metrics, blocks)
 
 
 def _runs(evaluations: Sequence[Evaluation], data: Sequence[str], groups: Groups) -> list[Run]:
-    """The runs of one method whose seeds were evaluated on all of these data sets."""
+    """Group the evaluations of one method into runs; keep seeds that were evaluated on all data sets."""
     trainings: dict[tuple, dict[int, list[Evaluation]]] = defaultdict(lambda: defaultdict(list))
     for e in evaluations:
         if e.data in data:
             trainings[e.trained_on, e.steps, e.commit][e.seed].append(e)
-    runs = []
-    for seeds in trainings.values():
-        complete = [seeds[seed] for seed in sorted(seeds) if len(seeds[seed]) == len(data)]
-        if complete:
-            runs.append(_run(complete, MODEL, groups))
-    return runs
+    complete = ([s[seed] for seed in sorted(s) if len(s[seed]) == len(data)] for s in trainings.values())
+    return [_run(seeds, MODEL, groups) for seeds in complete if seeds]
 
 
 def _baseline_rows(evaluations: Sequence[Evaluation], data: Sequence[str], groups: Groups) -> list[Row]:
-    """Rows of the baselines; they depend only on the data, so any evaluation of a data set has their numbers."""
+    """Return the rows of the baselines. They depend on the data alone, so any evaluation has their numbers."""
     by_data = {e.data: e for e in evaluations if e.data in data}
     if len(by_data) < len(data):
         return []
@@ -139,18 +140,18 @@ def _baseline_rows(evaluations: Sequence[Evaluation], data: Sequence[str], group
 
 
 def _run(seeds: Sequence[Sequence[Evaluation]], predictor: str, groups: Groups) -> Run:
-    """Args: seeds: for each seed its evaluations, one per data set."""
+    """Average one predictor; `seeds` holds the evaluations of each seed, one per data set."""
     columns = [_column(seeds, [(split, predictor) for split in splits]) for splits in groups.values()]
-    return Run([evaluation for of_seed in seeds for evaluation in of_seed], columns)
+    return Run([evaluation for per_seed in seeds for evaluation in per_seed], columns)
 
 
 def _column(seeds: Sequence[Sequence[Evaluation]], keys: Sequence[tuple[str, str]]) -> Column:
-    """The mean over `keys` (split, predictor) and data sets with equal weights, then over seeds."""
-    parts = [[e.means.get(key, {}) for e in of_seed for key in keys] for of_seed in seeds]
-    shared = set.intersection(*(set(part) for of_seed in parts for part in of_seed))
+    """Average over (split, predictor) keys and data sets with equal weights, then over seeds."""
+    parts = [[e.means.get(key, {}) for e in per_seed for key in keys] for per_seed in seeds]
+    shared = set.intersection(*(set(part) for per_seed in parts for part in per_seed))
     means, deviations = {}, {}
     for name in (name for name in parts[0][0] if name in shared):
-        by_seed = [mean_of_parts([part[name] for part in of_seed]) for of_seed in parts]
+        by_seed = [mean_of_parts([part[name] for part in per_seed]) for per_seed in parts]
         means[name] = mean_of_seeds(by_seed)
         if len(by_seed) > 1:
             deviations[name] = float(np.std([estimate.mean for estimate in by_seed], ddof=1))

@@ -1,4 +1,4 @@
-"""The invented scenes of the cost benchmark have exactly the sizes they are asked for."""
+"""Synthetic scenes of the cost benchmark have exactly the requested sizes."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ from rfpp.errors import UserError
 
 
 @pytest.mark.parametrize(("triangles", "objects"), [(25_600, 50), (80_000, 156), (1_600, 3), (5, 5), (7, 1)])
-def test_a_scene_has_exactly_so_many_triangles_and_objects(triangles, objects):
+def test_scenes_have_the_requested_numbers_of_triangles_and_objects(triangles, objects):
     batch = Case(triangles, objects, views=2, resolution=8, scenes=2).batch(("albedo", "roughness"), seed=0)
     assert batch.scenes.lengths == (objects, objects)
     assert batch.objects.total == len(batch.positions) == 2 * triangles
@@ -24,16 +24,16 @@ def test_objects_differ_in_size():
     assert max(sizes) > 2 * np.median(sizes)
 
 
-def test_lights_are_objects_of_one_triangle_and_nothing_else_shines():
+def test_only_light_sources_of_one_triangle_emit():
     batch = Case(triangles=500, objects=20, views=1, resolution=8, scenes=1).batch((), seed=0)
-    shines = batch.material[:, 7:].sum(1) > 0
-    assert shines.sum() == LIGHTS
-    owners = batch.objects.index[shines]
+    emits = batch.material[:, 7:].sum(1) > 0
+    assert emits.sum() == LIGHTS
+    owners = batch.objects.index[emits]
     assert len(set(owners.tolist())) == LIGHTS
     assert all(batch.objects.lengths[owner] == 1 for owner in owners)
 
 
-def test_what_a_scene_holds_is_finite_and_of_unit_normals():
+def test_batches_are_finite_with_unit_normals():
     batch = Case(triangles=3000, objects=10, views=2, resolution=8, scenes=1).batch(("albedo",), seed=0)
     for values in (batch.positions, batch.normals, batch.material, batch.c2w, batch.gbuffer, batch.image):
         assert values.isfinite().all()
@@ -41,7 +41,7 @@ def test_what_a_scene_holds_is_finite_and_of_unit_normals():
     torch.testing.assert_close(batch.normals.norm(dim=-1), torch.ones(3000, 3))
 
 
-def test_the_seed_decides():
+def test_the_seed_determines_the_batch():
     case = Case(triangles=100, objects=5, views=1, resolution=8, scenes=2)
     first, again, other = (case.batch(("albedo",), seed) for seed in (0, 0, 1))
     assert torch.equal(first.positions, again.positions) and torch.equal(first.gbuffer, again.gbuffer)
@@ -50,6 +50,6 @@ def test_the_seed_decides():
 
 
 @pytest.mark.parametrize("wrong", [{"objects": 101}, {"objects": 0}, {"views": 0}, {"scenes": 0}])
-def test_a_case_that_cannot_be_is_refused(wrong):
+def test_impossible_cases_are_rejected(wrong):
     with pytest.raises(UserError, match="at least"):
         Case(**{"triangles": 100, "objects": 5, "views": 1, "resolution": 8, "scenes": 1, **wrong})

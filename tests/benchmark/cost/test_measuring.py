@@ -1,11 +1,13 @@
-"""The cost benchmark: who is compared, what is counted, and rows also of what takes too much."""
+"""The cost benchmark compares two networks in turns, counts operations, and has rows for failures."""
 
 import csv
 from contextlib import suppress
 from itertools import pairwise
 
+import psutil
 import pytest
-from greedy_tasks import MODERATE, Hungry, Sleepy
+import torch
+from greedy_tasks import MODERATE, Hungry, Impossible, Sleepy
 from hydra import compose, initialize_config_dir
 from hydra.utils import instantiate
 from networks import SMALLEST, model_config
@@ -13,54 +15,45 @@ from omegaconf import OmegaConf
 
 from launch.benchmark import main
 from rfpp.benchmark.cost.case import Case
-from rfpp.benchmark.cost.measuring import measure
-from rfpp.benchmark.cost.plot import main as plot
-from rfpp.benchmark.cost.process import Limits
+from rfpp.benchmark.cost.measuring import Point, Rounds, measure, points
 from rfpp.benchmark.cost.tasks import Inference, Setting, Untrained
-from rfpp.benchmark.cost.turns import Rounds
 from rfpp.commands import CONFIG_DIR
 from rfpp.errors import UserError
 from rfpp.evaluation.measuring.csv_files import write_rows
+from rfpp.training.flops import published_peak
 
 CASE = Case(triangles=60, objects=5, views=2, resolution=16, scenes=1)
-SETTING = Setting(device="cpu", precision="bf16-mixed", threads=1, compile=False, seed=0)
+SETTING = Setting(device="cpu", precision="bf16-mixed")
 NETWORKS = {
-    "renderformer": Untrained("RenderFormer", model_config("experiment=renderformer")),
+    "renderformer": Untrained("RenderFormer", model_config("model=renderformer")),
     "rfpp": Untrained("RenderFormer++", model_config()),
 }
 STEPS = ["training_step", "checkpointed_training_step", "least_memory_training_step"]
-TASKS = {"inference": ["encode", "view", "render"], "steps": STEPS}
-QUANTITIES = [*TASKS["inference"], *TASKS["steps"]]
+QUANTITIES = ["encode", "view", "render", *STEPS]
+SMALL = [f"benchmark.case.{name}={value}" for name, value in vars(CASE).items()]
 
 
-def config(*overrides):
+def config(*overrides, benchmark="cost"):
     with initialize_config_dir(str(CONFIG_DIR), version_base="1.3"):
-        return compose("benchmark", overrides=["benchmark=cost", "size=tiny", *SMALLEST, *overrides])
+        return compose("benchmark", overrides=[f"benchmark={benchmark}", "size=tiny", *SMALLEST, *overrides])
 
 
-def measured(task=None, only=None, rounds=0, **limits):
-    """Rows of one task in one small case."""
-    made = []
-    rows = list(measure(
-        NETWORKS, {"task": task or Inference()}, CASE, {"small": [{}]}, only, SETTING, Rounds(rounds, 60),
-        Limits(**{"seconds": 300, "memory_gb": None, **limits}), None, lambda *n: made.append(n),
-    ))  # fmt: skip
-    assert made[-1] == (2 * (1 + rounds), 2 * (1 + rounds))
+def rows_of(task, count=0, timeout=300):
+    """Return the rows of a task in one small case."""
+    turns = []
+    rounds = Rounds(count, enough_seconds=60, timeout=timeout)
+    rows = list(measure(NETWORKS, {"t": task}, CASE, [{}], SETTING, rounds, None, lambda *turn: turns.append(turn)))
+    assert turns == [(n, 2 * (1 + count)) for n in range(2 * (1 + count) + 1)]
     return rows
-
-
-def impossible(changes):
-    next(measure(NETWORKS, {}, CASE, {"odd": [changes]}, None, SETTING, Rounds(0, 0), Limits(1, 1), None, print))
 
 
 @pytest.fixture(scope="module")
 def written(tmp_path_factory):
-    """The CSV file of a run of the command."""
+    """Path of the CSV file that the command writes."""
     path = tmp_path_factory.mktemp("cost") / "cost.csv"
-    small = [f"benchmark.case.{name}={value}" for name, value in vars(CASE).items()]
     cfg = config(
-        *small, "benchmark.only=[paper,triangles]", "benchmark.sweeps.triangles=[{triangles: 60}]",
-        "benchmark.rounds.count=2", "benchmark.setting.threads=1", "benchmark.setting.device=cpu", f"output={path}",
+        *SMALL, "benchmark.groups=[{},{triangles: [60]}]", "benchmark.rounds.count=2", "benchmark.setting.device=cpu",
+        f"output={path}",
     )  # fmt: skip
     main.__wrapped__(cfg)
     return path
@@ -68,23 +61,22 @@ def written(tmp_path_factory):
 
 def test_every_quantity_of_both_networks_has_a_complete_row(written):
     rows = list(csv.DictReader(written.open()))
-    expected = [(s, q, n.name) for s in ("paper", "triangles") for q in QUANTITIES for n in NETWORKS.values()]
-    assert [(row["sweep"], row["quantity"], row["network"]) for row in rows] == expected
+    # the second group is the same point, which is measured once
+    assert [(row["quantity"], row["network"]) for row in rows] == [
+        (quantity, network.name) for quantity in QUANTITIES for network in NETWORKS.values()
+    ]
     for row in rows:
         whole = row["quantity"] not in ("encode", "view")
         empty = {name for name, value in row.items() if value == ""}
-        assert empty == (set() if whole else {"peak_GB", "held_GB", "memory_saved"})
-        assert row["status"] == "ok"
-        assert row["rounds"] == "2"
+        assert empty == {"of_peak"} | (set() if whole else {"peak_GB", "held_GB", "memory_saved"})
+        assert (row["status"], row["rounds"], row["compiled"]) == ("ok", "2", "false")
         assert {name: int(row[name]) for name in vars(CASE)} == vars(CASE)
-        assert (row["device"], row["precision"], row["threads"]) == ("cpu", "bf16-mixed", "1")
-        assert row["commit"] and row["hardware"] and row["torch"]
+        assert (row["device"], row["precision"]) == ("cpu", "bf16-mixed")
         assert 0 < float(row["seconds_min"]) <= float(row["seconds"])
-        rate = float(row["TFLOP"]) / float(row["seconds"])
-        assert float(row["TFLOP_per_s"]) == pytest.approx(rate, rel=1e-4)
-        assert float(row["of_matrix_rate"]) == pytest.approx(rate / float(row["matrix_TFLOP_per_s"]), rel=1e-4)
+        assert float(row["TFLOP_per_s"]) == pytest.approx(float(row["TFLOP"]) / float(row["seconds"]), rel=1e-4)
         if whole:
             assert 0 < float(row["held_GB"]) <= float(row["peak_GB"])
+    assert len({row["parameters"] for row in rows}) == 2
 
 
 def test_networks_are_compared_with_the_first_in_the_same_run(written):
@@ -97,18 +89,19 @@ def test_networks_are_compared_with_the_first_in_the_same_run(written):
             assert float(ours["memory_saved"]) == pytest.approx(saved, abs=1e-4)
 
 
-def test_a_case_in_two_sweeps_is_measured_once(written):
-    rows = list(csv.DictReader(written.open()))
-    paper, again = rows[: len(rows) // 2], rows[len(rows) // 2 :]
-    assert [{**row, "sweep": ""} for row in paper] == [{**row, "sweep": ""} for row in again]
+def test_rendering_consists_of_encoding_and_views(written):
+    seconds = {(r["network"], r["quantity"]): float(r["seconds_min"]) for r in csv.DictReader(written.open())}
+    for network in NETWORKS.values():
+        encode, view, render = (seconds[network.name, quantity] for quantity in ("encode", "view", "render"))
+        assert render >= 0.99 * (encode + CASE.views * view)
 
 
-def test_a_run_goes_on_where_another_was_interrupted(tmp_path):
+def test_an_interrupted_run_is_resumed(tmp_path):
     path = tmp_path / "cost.csv"
-    sweeps = {"small": [{}, {"triangles": 70}], "other": [{"triangles": 70}, {"triangles": 80}]}
+    groups = [{"triangles": [60, 70]}, {"triangles": [70, 80]}]
     turns = []
 
-    def interrupted(taken, total):
+    def interrupt(taken, total):
         turns.append((taken, total))
         if taken == 3:  # in the second case
             raise KeyboardInterrupt
@@ -117,120 +110,134 @@ def test_a_run_goes_on_where_another_was_interrupted(tmp_path):
         rows = []
         with suppress(KeyboardInterrupt):
             for row in measure(
-                NETWORKS, {"task": Inference()}, CASE, sweeps, None, SETTING, Rounds(0, 60), Limits(300, None),
-                str(path), progress,
+                NETWORKS, {"t": Inference()}, CASE, groups, SETTING, Rounds(0, 60, 300), str(path), progress
             ):  # fmt: skip
                 rows.append(row)
         write_rows(path, rows)
         return path.read_text().splitlines()
 
-    first = run(interrupted)
+    first = run(interrupt)
     assert turns[-1] == (3, 6) and len(first) == 1 + 6  # of the first case
-    second = run(lambda *n: turns.append(n))
+    second = run(lambda *turn: turns.append(turn))
     assert turns[-1] == (4, 4)  # two cases
     assert second[:7] == first
-    assert [line.split(",")[:2] for line in second[1::6]] == [
-        ["small", "60"], ["small", "70"], ["other", "70"], ["other", "80"]
-    ]  # fmt: skip
+    assert [line.split(",")[0] for line in second[1::6]] == ["60", "70", "80"]
 
 
-def test_rendering_is_encoding_and_the_views(written):
-    seconds = {(r["network"], r["quantity"]): float(r["seconds_min"]) for r in csv.DictReader(written.open())}
-    for network in NETWORKS.values():
-        parts = [seconds[network.name, quantity] for quantity in TASKS["inference"]]
-        assert parts[2] >= 0.99 * (parts[0] + CASE.views * parts[1])
+def test_groups_are_products_with_each_point_once():
+    found = points([{"networks": ["b"], "scenes": [1, 2]}, {"scenes": 1, "task": "x"}], CASE, ["x", "y"], ["a", "b"])
+    of_case = {scenes: Case(60, 5, 2, 16, scenes) for scenes in (1, 2)}
+    products = [Point(task, ("b",), False, of_case[scenes]) for task in ("x", "y") for scenes in (1, 2)]
+    assert found == [*products, Point("x", ("a", "b"), False, of_case[1])]
+    assert points([{}, {"scenes": [1]}], CASE, ["x"], ["a"]) == [Point("x", ("a",), False, CASE)]
 
 
-def test_the_plot_is_made_of_the_table(written):
-    assert plot([str(written)]) == written.with_suffix(".png")
-    assert written.with_suffix(".png").read_bytes().startswith(b"\x89PNG")
-
-
-def test_networks_and_training_are_those_of_the_experiments():
-    cfg = config()
+@pytest.mark.parametrize("name", ["cost", "gpu"])
+def test_networks_and_training_are_those_of_the_experiments(name):
+    cfg = config("benchmark.setting.device=cpu", benchmark=name)
     benchmark = OmegaConf.to_container(cfg, resolve=True)["benchmark"]
-    assert benchmark["networks"]["renderformer"]["model"] == NETWORKS["renderformer"].model
-    assert benchmark["networks"]["rfpp"]["model"] == NETWORKS["rfpp"].model
     with initialize_config_dir(str(CONFIG_DIR), version_base="1.3"):
         train = compose("train", overrides=["run_dir=unused", "experiment=large_scale"])
-    for name in TASKS["steps"]:
-        assert benchmark["tasks"][name]["optimizer"] == OmegaConf.to_container(train.optimizer)
-        assert benchmark["tasks"][name]["loss"] == {**OmegaConf.to_container(train.loss), "lpips_weight": 0}
-        assert benchmark["tasks"][name]["gradient_clip"] == train.trainer.gradient_clip_val
+    for key, network in NETWORKS.items():
+        assert benchmark["networks"][key]["name"] == network.name
+    for step in STEPS:
+        assert benchmark["tasks"][step]["optimizer"] == OmegaConf.to_container(train.optimizer)
+        assert benchmark["tasks"][step]["loss"] == {**OmegaConf.to_container(train.loss), "lpips_weight": 0}
+        assert benchmark["tasks"][step]["gradient_clip"] == train.trainer.gradient_clip_val
     assert benchmark["setting"]["precision"] == train.trainer.precision
-
-
-def test_the_papers_case_is_its_own_sweep_and_part_of_the_others():
-    benchmark = instantiate(config("benchmark.networks={}", "benchmark.tasks={}").benchmark, _convert_="all").keywords
-    paper = benchmark["case"]
+    settings = instantiate(cfg.benchmark, _convert_="all").keywords
+    paper = settings["case"]
     assert (paper.triangles, paper.objects, paper.resolution, paper.views) == (25_600, 50, 256, 1)
-    for name, points in benchmark["sweeps"].items():
-        assert any({**vars(paper), **point} == vars(paper) for point in points), name
+    wanted = points(settings["groups"], paper, list(settings["tasks"]), list(settings["networks"]))
+    assert {(point.task, point.networks) for point in wanted if point.case == paper} >= {
+        (task, ("renderformer", "rfpp")) for task in ("inference", *STEPS)
+    }
 
 
-def test_time_out_is_a_row_and_leaves_the_other_network_alone():
-    rows = measured(Sleepy(), rounds=1, seconds=10)
+def test_a_timeout_is_a_row_and_does_not_stop_the_other_network():
+    rows = rows_of(Sleepy(), count=1, timeout=10)
     assert [row["status"] for row in rows] == 3 * ["timed out after 10 s", "ok"]
     for slow, ours in zip(rows[::2], rows[1::2], strict=True):
         assert (slow["seconds"], slow["rounds"], slow["speedup"], ours["speedup"]) == (None, 0, None, None)
         assert slow["TFLOP"] > 0 and ours["seconds"] > 0
 
 
-def test_running_out_of_memory_is_a_row_and_memory_is_that_of_the_task():
-    rows = measured(Hungry(), memory_gb=1.6)
+def test_a_process_that_takes_all_memory_is_stopped(monkeypatch):
+    memory = psutil.virtual_memory()
+    monkeypatch.setattr(psutil, "virtual_memory", lambda: memory._replace(available=1_500_000_000))
+    rows = rows_of(Hungry(bytes=3_000_000_000))
     assert [row["status"] for row in rows] == 3 * ["out of memory", "ok"]
     hungry, ours = rows[-2:]
     assert hungry["peak_GB"] is None and ours["memory_saved"] is None
     assert ours["peak_GB"] - ours["held_GB"] == pytest.approx(MODERATE / 1e9, abs=0.1)
 
 
-def test_a_limit_below_what_python_needs_fails_before_the_first_turn():
-    assert {row["status"] for row in measured(memory_gb=0.01)} == {"out of memory"}
+def test_a_failed_allocation_is_a_row():
+    assert [row["status"] for row in rows_of(Impossible())] == 3 * ["out of memory", "ok"]
 
 
-def test_bad_settings_are_answered_in_one_line():
-    with pytest.raises(UserError, match="the sweeps are small"):
-        measured(only=["large"])
+def test_invalid_settings_are_reported():
+    for group, message in [
+        ({"pixels": 12}, "unknown field 'pixels'"),
+        ({"task": "juggling"}, "unknown task 'juggling'"),
+        ({"networks": ["nerf"]}, "unknown network 'nerf'"),
+        ({"resolution": 12}, "resolution 12 does not divide into RenderFormer's patches of 8"),
+    ]:
+        with pytest.raises(UserError, match=message):
+            next(measure(NETWORKS, {"t": Inference()}, CASE, [group], SETTING, Rounds(0, 0, 0), None, print))
     with pytest.raises(UserError, match="choose from bf16-mixed, 32-true"):
-        Setting(device="cpu", precision="half", threads=None, compile=False, seed=0)
-    with pytest.raises(UserError, match="resolution 12 does not divide into RenderFormer's patches of 8"):
-        impossible({"resolution": 12})
-    with pytest.raises(UserError, match="varies pixels"):
-        impossible({"pixels": 12})
+        Setting(device="cpu", precision="half")
+
+
+def test_another_table_is_not_resumed(tmp_path, capsys):
+    output = tmp_path / "cost.csv"
+    output.write_text("a,b\n1,2\n")
+    with pytest.raises(SystemExit):
+        main.__wrapped__(config(*SMALL, "benchmark.groups=[{}]", f"output={output}"))
+    assert "not a table of benchmark=cost" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("card", "peak"), [("NVIDIA H100 80GB HBM3", 989e12), ("NVIDIA H100 PCIe", 756e12), ("unknown", None)]
+)
+def test_published_peak_of_a_card(card, peak, monkeypatch):
+    monkeypatch.setattr(torch.cuda, "get_device_name", lambda _: card)
+    assert published_peak(torch.device("cuda"), torch.bfloat16) == peak
+    assert published_peak(torch.device("cuda"), torch.float32) is None
 
 
 class TestOperations:
-    """Counted, not timed."""
+    """Counted from shapes."""
 
     @staticmethod
-    def of(network: str, task=None, **case) -> dict[str, float]:
-        at = Case(**{**vars(CASE), **case})
-        made = NETWORKS[network]("meta")
-        return (task or Inference()).flops(made, at.batch(made.gbuffer_channels, seed=0).to("meta"))
+    def count(network: str, task=None, **case) -> dict[str, float]:
+        batch_size = Case(**{**vars(CASE), **case})
+        shapes = NETWORKS[network]("meta")
+        return (task or Inference()).flops(shapes, batch_size.batch(shapes.gbuffer_channels, seed=0).to("meta"))
 
-    def test_those_of_renderformers_encoder_are_what_its_layers_say(self):
+    def test_renderformers_encoder(self):
         width, hidden, layers = 54, 64, 4
         triangles = 1008
-        tokens = triangles + 16  # a multiple of what attention pads to
+        tokens = triangles + 16  # a multiple of the padding of attention
         attention = 4 * tokens**2 * width
         linear = 2 * tokens * (4 * width**2 + 3 * width * hidden)
         embedding = 2 * triangles * width * (10 + 9 * 13)
-        counted = self.of("renderformer", triangles=triangles)["encode"]
+        counted = self.count("renderformer", triangles=triangles)["encode"]
         assert counted == layers * (attention + linear) + embedding
 
-    def test_renderformers_grow_with_the_square_of_the_triangles_ours_with_their_number(self):
-        sizes = [(10_000, 20), (20_000, 40), (40_000, 80)]  # objects of the same size, ever more of them
+    def test_renderformer_is_quadratic_in_triangles_and_renderformer_pp_linear(self):
+        sizes = [(10_000, 20), (20_000, 40), (40_000, 80)]  # more objects of the same size
         for network, low, high in (("renderformer", 3.5, 4.0), ("rfpp", 1.8, 2.2)):
-            counts = [self.of(network, triangles=t, objects=o)["encode"] for t, o in sizes]
+            counts = [self.count(network, triangles=t, objects=o)["encode"] for t, o in sizes]
             for count, twice in pairwise(counts):
                 assert low < twice / count < high
 
-    def test_a_scene_is_encoded_once_for_all_its_views(self):
-        one, four = self.of("rfpp", views=1), self.of("rfpp", views=4)
+    def test_a_scene_is_encoded_once_for_all_views(self):
+        one, four = self.count("rfpp", views=1), self.count("rfpp", views=4)
         assert one["encode"] == four["encode"] and one["view"] == four["view"]
         assert four["render"] == four["encode"] + 4 * four["view"]
 
     def test_a_training_step_is_three_forward_passes(self):
         step = instantiate(config("benchmark.networks={}").benchmark.tasks.training_step)
-        count = self.of("renderformer", step, views=1)["training_step"]
-        assert count == 3 * self.of("renderformer", views=1)["render"]
+        count = self.count("renderformer", step, views=1)["training_step"]
+        assert count == 3 * self.count("renderformer", views=1)["render"]

@@ -6,8 +6,8 @@ import pytest
 from rfpp.evaluation.measuring.confidence import Bootstrap, Estimate, mean_of_parts, mean_of_seeds, split_estimates
 
 
-def test_every_scene_counts_the_same_however_many_views_it_has(scenes, bootstrap) -> None:
-    means = split_estimates(scenes, bootstrap)
+def test_every_scene_counts_the_same_however_many_views_it_has(records, bootstrap) -> None:
+    means = split_estimates(records, bootstrap)
     assert means["test", "model"]["log_l1"].mean == pytest.approx((0.2 + 0.4) / 2)
     assert means["test", "black"]["log_l1"].mean == pytest.approx((0.5 + 0.7) / 2)
     assert means["test", "model"]["log_l1"].scenes == 2
@@ -22,19 +22,19 @@ def test_the_interval_is_that_of_the_normal_approximation_for_many_scenes(bootst
     assert estimate.high == pytest.approx(values.mean() + 1.96 * error, abs=0.15 * error)
 
 
-def test_the_interval_covers_the_truth_as_often_as_it_says(bootstrap) -> None:
+def test_the_interval_covers_the_true_mean_in_95_of_100_cases(bootstrap) -> None:
     draws = np.random.default_rng(2).lognormal(0.0, 0.5, (60, 200))  # 200 experiments of 60 scenes each
     hits = [e.low <= math.exp(0.125) <= e.high for e in bootstrap(draws)]
     assert 0.88 < np.mean(hits) < 0.99
 
 
-def test_it_resamples_scenes_not_images(scenes, bootstrap) -> None:
+def test_it_resamples_scenes_not_images(records, bootstrap) -> None:
     """Two scenes allow three means only, whatever the number of their views."""
-    estimate = split_estimates(scenes, bootstrap)["test", "model"]["log_l1"]
+    estimate = split_estimates(records, bootstrap)["test", "model"]["log_l1"]
     assert (estimate.low, estimate.high) == (pytest.approx(0.2), pytest.approx(0.4))
 
 
-def test_it_depends_on_seed_and_values_alone() -> None:
+def test_it_depends_only_on_seed_and_values() -> None:
     values = np.random.default_rng(3).normal(size=(20, 2))
     assert Bootstrap(500, 0)(values) == Bootstrap(500, 0)(values)
     assert Bootstrap(500, 0)(values) != Bootstrap(500, 1)(values)
@@ -55,7 +55,7 @@ def test_one_scene_has_no_interval(bootstrap) -> None:
     assert math.isnan(estimate.low) and math.isnan(estimate.high)
 
 
-def test_parts_count_the_same_and_their_errors_are_independent() -> None:
+def test_parts_have_equal_weight_and_independent_errors() -> None:
     joined = mean_of_parts([Estimate(1.0, 0.7, 1.3, 10), Estimate(3.0, 2.6, 3.8, 90)])
     assert joined.mean == pytest.approx(2.0)
     assert joined.low == pytest.approx(2.0 - 0.5 / 2)  # √(0.3² + 0.4²) / 2

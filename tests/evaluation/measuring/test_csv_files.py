@@ -3,49 +3,45 @@ import csv
 import pytest
 
 from rfpp.errors import UserError
-from rfpp.evaluation.measuring.buckets import bucketed
 from rfpp.evaluation.measuring.confidence import split_estimates
-from rfpp.evaluation.measuring.csv_files import write_buckets, write_records, write_summary
+from rfpp.evaluation.measuring.csv_files import write_records, write_rows
 
 
-def _rows(path) -> list[dict[str, str]]:
-    return list(csv.DictReader(path.open()))
+@pytest.fixture
+def rows(records, bootstrap, tmp_path) -> dict[str, list[dict[str, str]]]:
+    files = write_records(records, split_estimates(records, bootstrap), tmp_path / "evaluation")
+    return {file.name: list(csv.DictReader(file.open())) for file in files}
 
 
-def test_records_of_images_and_scenes(images, scenes, tmp_path) -> None:
-    files = write_records(images, scenes, tmp_path / "evaluation")
-    assert [f.name for f in files] == [
-        "test.csv", "test_scenes.csv", "train_newviews.csv", "train_newviews_scenes.csv",
-    ]  # fmt: skip
-    of_images, of_scenes = _rows(files[0]), _rows(files[1])
-    assert len(of_images) == 6
-    assert of_images[1] == {"scene": "a", "view": "1", "predictor": "model", "log_l1": "0.3", "psnr": "20"}
-    assert of_scenes[1] == {
-        "scene": "b", "triangles": "2000", "objects": "7", "lights": "2", "predictor": "model",
+def test_one_row_per_image_and_one_per_scene(rows) -> None:
+    assert len(rows["images.csv"]) == 7
+    assert rows["images.csv"][1] == {
+        "split": "test", "scene": "a", "view": "1", "predictor": "model", "log_l1": "0.3", "psnr": "20",
+    }  # fmt: skip
+    assert len(rows["scenes.csv"]) == 5
+    assert rows["scenes.csv"][1] == {
+        "split": "test", "scene": "b", "triangles": "2000", "objects": "7", "lights": "2", "predictor": "model",
         "log_l1": "0.4", "psnr": "10",
     }  # fmt: skip
+    assert float(rows["scenes.csv"][0]["log_l1"]) == pytest.approx(0.2)
 
 
-def test_the_summary_has_means_intervals_and_the_number_of_scenes(scenes, bootstrap, tmp_path) -> None:
-    path = write_summary(split_estimates(scenes, bootstrap), tmp_path)
-    rows = {(row["split"], row["predictor"]): row for row in _rows(path)}
-    assert list(rows["test", "black"]) == [
+def test_the_summary_has_means_intervals_and_the_number_of_scenes(rows) -> None:
+    by_predictor = {(row["split"], row["predictor"]): row for row in rows["summary.csv"]}
+    assert list(by_predictor["test", "black"]) == [
         "split", "predictor", "scenes",
         "log_l1", "log_l1_low", "log_l1_high", "psnr", "psnr_low", "psnr_high",
     ]  # fmt: skip
-    test = rows["test", "model"]
+    test = by_predictor["test", "model"]
     assert (test["scenes"], test["log_l1"], test["log_l1_low"], test["log_l1_high"]) == ("2", "0.3", "0.2", "0.4")
-    assert rows["train_newviews", "model"]["log_l1_low"] == "nan"
+    assert by_predictor["train_newviews", "model"]["log_l1_low"] == "nan"
 
 
-def test_buckets_name_their_range(scenes, bootstrap, tmp_path) -> None:
-    buckets = bucketed(scenes, {"triangles": [1000]}, bootstrap)
-    first, second = _rows(write_buckets(buckets, tmp_path))[:2]
-    assert (first["split"], first["counted"], first["from"], first["below"]) == ("test", "triangles", "0", "1000")
-    assert (second["from"], second["below"], second["scenes"], second["log_l1"]) == ("1000", "", "1", "0.4")
+def test_a_missing_key_is_an_empty_cell(tmp_path) -> None:
+    assert write_rows(tmp_path / "rows.csv", [{"a": 1}, {"b": 0.12345678}]).read_text() == "a,b\n1,\n,0.1234568\n"
 
 
-def test_an_unwritable_folder_is_named(images, scenes, tmp_path) -> None:
+def test_an_unwritable_folder_is_named(tmp_path) -> None:
     (tmp_path / "file").write_text("")
-    with pytest.raises(UserError, match=r"test\.csv"):
-        write_records(images, scenes, tmp_path / "file")
+    with pytest.raises(UserError, match=r"rows\.csv"):
+        write_rows(tmp_path / "file" / "rows.csv", [{"a": 1}])

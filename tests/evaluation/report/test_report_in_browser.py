@@ -1,10 +1,8 @@
-"""report.html as people use it: opened from a file in Chromium."""
+"""report.html in Chromium, opened from a file."""
 
 import numpy as np
 import pytest
 from browser import picture_of, requires_chromium
-
-from rfpp.evaluation.report.evaluation_report import write_report
 
 pytestmark = requires_chromium
 
@@ -13,8 +11,8 @@ SCENES = {"a": (500, 0.1), "b": (2000, 0.4), "c": (800, 0.25), '"><img src=x one
 
 
 @pytest.fixture
-def page(browser, evaluated):
-    browser.get(write_report(evaluated(SCENES)).as_uri())
+def page(browser, reported):
+    browser.get(reported(SCENES).as_uri())
     return browser
 
 
@@ -24,33 +22,16 @@ def wipe(page):
 
 
 def _share_of_prediction(wipe) -> float:
-    """How much of a line across the picture is red, the prediction's colour; the rest is the reference's blue."""
+    """Return the share of a line across the picture that is red, like the prediction; the reference is blue."""
     line = picture_of(wipe)[40].astype(int)
     red, blue = (np.abs(line - colour).max(axis=1) < 40 for colour in (RED, BLUE))
-    assert (red | blue).mean() > 0.9  # but for the line between them
+    assert (red | blue).mean() > 0.9  # except for the line between them
     if red.any() and blue.any():
         assert np.flatnonzero(red).max() < np.flatnonzero(blue).min()  # on the left
     return red.sum() / (red | blue).sum()
 
 
-def _visible_scenes(page) -> list[str]:
-    articles = page.find_elements("css selector", "article")
-    return [article.get_attribute("data-scene") for article in articles if article.is_displayed()]
-
-
-def _choose(page, element: str, text: str) -> None:
-    from selenium.webdriver.support.select import Select
-
-    Select(page.find_element("id", element)).select_by_visible_text(text)
-
-
-def _set(page, element: str, value: int) -> None:
-    """As a pointer would: the value and the event that follows it."""
-    script = "arguments[0].value = arguments[1]; arguments[0].dispatchEvent(new Event('input', {bubbles: true}))"
-    page.execute_script(script, page.find_element("id", element), value)
-
-
-def test_it_loads_nothing_from_elsewhere_and_all_its_pictures(page):
+def test_it_loads_all_pictures_and_nothing_external(page):
     loaded = page.execute_script("return performance.getEntriesByType('resource').map(entry => entry.name)")
     assert all(address.startswith("data:") for address in loaded)
     decoded = "return [...document.images].map(image => image.complete && image.naturalWidth)"
@@ -72,7 +53,7 @@ def test_the_pointer_wipes_from_the_prediction_to_the_reference(page, wipe):
     assert _share_of_prediction(wipe) == pytest.approx(0.75, abs=0.02)
 
 
-def test_the_keyboard_wipes_too_and_says_where_it_is(page, wipe):
+def test_the_keyboard_wipes_with_an_accessible_value(page, wipe):
     from selenium.webdriver import Keys
 
     slider = wipe.find_element("tag name", "input")
@@ -87,48 +68,8 @@ def test_the_keyboard_wipes_too_and_says_where_it_is(page, wipe):
 
 
 def test_every_control_has_a_name(page):
-    for control in page.find_elements("css selector", "input, select"):
+    for control in page.find_elements("css selector", "input"):
         assert control.accessible_name
-
-
-def test_the_filters_hide_scenes_by_triangles(page):
-    assert len(_visible_scenes(page)) == 4
-    _set(page, "from", 850)
-    assert set(_visible_scenes(page)) == {"b", '"><img src=x onerror=alert(1)>'}
-    assert page.find_element("id", "shown").text == "2 of 4 scenes shown"
-    _set(page, "to", 1999)
-    assert _visible_scenes(page) == ['"><img src=x onerror=alert(1)>']
-    _set(page, "to", 600)  # takes the lower end along
-    assert page.find_element("id", "from").get_attribute("value") == "600"
-    assert _visible_scenes(page) == []
-    _set(page, "from", 500)
-    assert _visible_scenes(page) == ["a"]
-
-
-def test_a_split_can_be_chosen(page):
-    page.execute_script("document.querySelector('article').dataset.split = 'another'")
-    _choose(page, "split", "test")
-    assert len(_visible_scenes(page)) == 3
-    _choose(page, "split", "all")
-    assert len(_visible_scenes(page)) == 4
-
-
-def test_the_order_follows_the_choice(page):
-    hostile = '"><img src=x onerror=alert(1)>'
-    assert _visible_scenes(page) == ["b", hostile, "c", "a"]
-    _choose(page, "order", "log-L1, best first")
-    assert _visible_scenes(page) == ["a", "c", hostile, "b"]
-    _choose(page, "order", "PSNR, worst first")
-    assert _visible_scenes(page) == ["b", hostile, "c", "a"]
-    _choose(page, "order", "triangles, fewest first")
-    assert _visible_scenes(page) == ["a", "c", hostile, "b"]
-
-
-def test_scenes_without_a_number_are_the_worst(browser, evaluated):
-    browser.get(write_report(evaluated({"a": (5, 0.1), "b": (6, float("nan")), "c": (7, 0.3)})).as_uri())
-    assert _visible_scenes(browser) == ["b", "c", "a"]
-    _choose(browser, "order", "log-L1, best first")
-    assert _visible_scenes(browser) == ["a", "c", "b"]
 
 
 @pytest.mark.parametrize("width", [1280, 400])

@@ -74,7 +74,7 @@ def test_the_picture_is_that_of_the_same_scene_as_gltf(server, blender, tmp_path
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         scene = load_scene(tmp_path / "exported.glb")
-    [exported] = Renderer.load("rfpp-tiny", "cpu").render(scene, (64, 96))
+    [exported] = Renderer.load("radiosity", "cpu").render(scene, (64, 96))
     assert sent.shape == (64, 96, 4) and (sent[..., 3] == 1).all()
     assert exported.mean() > 0.05
     print(f"difference {difference(sent[..., :3], exported):.5f}")

@@ -1,0 +1,67 @@
+"""Log at every validation whether the network uses its tokens and its operator."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping
+
+import lightning as L
+import torch
+from torch import Tensor
+
+from rfpp.batch import RaggedBatch
+from rfpp.imaging.radiance import log_encode
+from rfpp.losses.ablation import OTHER_TOKENS, AblationErrors
+
+
+class AblationMonitor(L.Callback):
+    """Logs the relative growth of the validation error per ablation (`rfpp.losses.ablation`).
+
+    Metrics: `ablation/other_tokens`, `ablation/other_encoded_tokens` and `ablation/no_operator`. Warns once if the
+    network hardly uses its scene tokens. With several processes, only rank 0's scenes are measured.
+
+    Args:
+        scenes: Maximum number of validation scenes, besides the first.
+        min_growth: Growth with another scene's tokens below which the callback warns.
+    """
+
+    def __init__(self, scenes: int, min_growth: float):
+        self.scenes, self.min_growth = scenes, min_growth
+        self._warned = False
+
+    def on_validation_start(self, trainer: L.Trainer, module: L.LightningModule) -> None:
+        self._errors = AblationErrors()
+
+    @torch.no_grad()
+    def on_validation_batch_end(
+        self,
+        trainer: L.Trainer,
+        module: L.LightningModule,
+        outputs: Mapping[str, Tensor],
+        batch: RaggedBatch,
+        batch_index: int,
+        dataloader_index: int = 0,
+    ) -> None:
+        if batch_index > self.scenes:
+            return
+        with trainer.precision_plugin.forward_context():
+            self._errors.add(module.network, batch, log_encode(outputs["radiance"]))
+
+    def on_validation_end(self, trainer: L.Trainer, module: L.LightningModule) -> None:
+        growth = self._errors.growth()
+        if not growth or trainer.sanity_checking or not trainer.is_global_zero:
+            return
+        for logger in trainer.loggers:
+            # Lightning counts steps from 0
+            logger.log_metrics({f"ablation/{name}": value for name, value in growth.items()}, trainer.global_step - 1)
+        self.warn_if_unused(growth[OTHER_TOKENS])
+
+    def warn_if_unused(self, growth: float) -> None:
+        """Warn once if the error hardly grows with another scene's tokens."""
+        if growth < self.min_growth and not self._warned:
+            self._warned = True
+            warnings.warn(
+                f"the network hardly uses its scene tokens: with those of another scene, its error grows by "
+                f"{growth:.1%}",
+                stacklevel=2,
+            )
