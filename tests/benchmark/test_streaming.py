@@ -2,17 +2,17 @@
 
 import numpy as np
 import pytest
-from rfpp.training.dealing import InOrder
 from small_data import REFERENCE, SETTINGS, BoxFamily, make
 
 from rfpp.benchmark.streaming import PAPER_IMAGES_PER_SECOND, measure
 from rfpp.benchmark.synthetic_data import SyntheticData, synthetic_images
 from rfpp.reference.farm import RenderFarm
 from rfpp.scene.packed import pack
-from rfpp.shards.cache import ShardCache
 from rfpp.shards.dataset import ShardSplit
 from rfpp.shards.manifest import Manifest
+from rfpp.training.batching import Batching
 from rfpp.training.datamodule import SceneDataModule
+from rfpp.training.partition import Contiguous
 
 
 @pytest.fixture
@@ -20,13 +20,11 @@ def synthetic():
     return SyntheticData(BoxFamily(), SETTINGS, REFERENCE, RenderFarm(workers=1), scenes=3)
 
 
-def datamodule(root, workers):
-    return SceneDataModule(
-        root=root, workers=workers, cache=ShardCache("unused", 1), gbuffer_channels=("albedo",), scenes_per_step=2,
-        scenes_per_device=None, dealing=InOrder(), views_per_scene=2, training_scenes=None, validation_scenes=1,
-        shuffle_shards=4, skip_corrupt=False, rigid_augmentation=None, colour_augmentation=None,
-        light_augmentation=None, seed=0,
-    )  # fmt: skip
+def datamodule(source, workers):
+    batching = Batching(
+        scenes_per_step=2, scenes_per_device=None, views_per_scene=2, partition=Contiguous(), shuffle_shards=4
+    )
+    return SceneDataModule(source, batching, gbuffer_channels=("albedo",), augmentation={}, workers=workers, seed=0)
 
 
 def test_a_row_for_each_data_set_and_number_of_workers(synthetic, tmp_path):
