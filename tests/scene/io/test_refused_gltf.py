@@ -73,8 +73,8 @@ REFUSED = {
     "a bad index": (changed(lambda d: d["accessors"][0].update(count=2)), "refers to vertex 3 of 2"),
     "NaN": (changed(lambda d: d["nodes"][0].update(translation=[0, math.nan, 0])), "nodes.0.translation.1: "),
     "overflow": (changed(lambda d: d["nodes"][0].update(scale=[1e308] * 3, translation=[1e308] * 3)),
-                 "beyond every number"),
-    "nothing": (changed(lambda d: d.update(nodes=[])), "no surface that a camera can see"),
+                 "infinite or too large"),
+    "nothing": (changed(lambda d: d.update(nodes=[])), "no visible surface"),
     "instances": (
         changed(lambda d: d["nodes"][0].update(extensions={"EXT_mesh_gpu_instancing": {}})), "export its instances"
     ),

@@ -94,7 +94,7 @@ def test_failed_decimation_is_rejected(tmp_path, monkeypatch):
     def tears_open(mesh, target_faces):
         return Mesh(mesh.vertices, mesh.faces[:target_faces])
 
-    for decimate, detail in ((gives_up, "the mesh cannot be reduced"), (tears_open, "not closed any more")):
+    for decimate, detail in ((gives_up, "the mesh cannot be reduced"), (tears_open, "no longer closed")):
         monkeypatch.setattr("rfpp.scene.sampling.objects.solid.decimated", decimate)
         with pytest.raises(RejectionError, match=detail) as caught:
             prepared(tmp_path, BALL)
