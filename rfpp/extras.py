@@ -8,6 +8,7 @@ from rfpp.errors import MissingDependencyError
 EXTRAS = {
     "fast_simplification": "data",
     "h5py": "data",
+    "lpips": "training",
     "manifold3d": "data",
     "skimage": "data",
     "webdataset": "data",
