@@ -11,7 +11,6 @@ EXTRAS = {
     "lpips": "training",
     "manifold3d": "data",
     "skimage": "data",
-    "webdataset": "data",
     "matplotlib": "evaluation",
     "mlflow": "tracking",
     "viser": "viewer",
