@@ -97,7 +97,7 @@ def test_it_is_evaluated_without_tracking(trained, bare):
 
 
 def test_a_picture_is_rendered_by_what_was_trained_and_by_what_comes_with_the_project(trained, bare, tmp_path):
-    for name, checkpoint in (("own", trained[0] / "checkpoints" / "last.ckpt"), ("shipped", "rfpp-tiny")):
+    for name, checkpoint in (("own", trained[0] / "checkpoints" / "last.ckpt"), ("shipped", "radiosity")):
         bare(
             "launch/render.py", "scene=data/scenes/cornell_box.json", f"checkpoint={checkpoint}", "cameras=[0]",
             f"output={tmp_path}/{name}.exr", "resolution=32", "device=cpu",
@@ -112,7 +112,7 @@ def test_rendering_imports_neither_lightning_nor_mlflow(bare):
 
 def test_a_network_is_loaded_without_pytorchs_compiler(bare):
     """Which takes as long to import as all of PyTorch."""
-    load = "import sys, rfpp; rfpp.Renderer.load('rfpp-tiny', 'cpu'); print('torch._dynamo' in sys.modules)"
+    load = "import sys, rfpp; rfpp.Renderer.load('radiosity', 'cpu'); print('torch._dynamo' in sys.modules)"
     assert bare("-c", load) == "False\n"
 
 
