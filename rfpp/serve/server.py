@@ -2,9 +2,8 @@
 
 | Request | Body | Response |
 |---|---|---|
-| GET / | | JSON: `protocol`, `network` |
 | POST /scenes | GLB file | JSON: `scene`, its name, and `notes`, the changes made to it |
-| POST /pictures | JSON, see `RenderRequest` | float32 [height, width, 4], little-endian: radiance and alpha, row 0 on top |
+| POST /pictures | JSON, see `RenderRequest` | float32 [height, width, 4], little-endian: radiance, alpha |
 
 Errors are JSON with `error`, one line; status 404 means that the scene must be sent again. Every request needs the
 header `Rfpp-Protocol`. Web pages cannot send it without a preflight request, which the server does not answer.
@@ -67,8 +66,8 @@ class Server:
             reason = getattr(error, "strerror", None) or error
             raise UserError(f"{host}:{port}: cannot listen there ({reason}): choose another host or port") from None
         self.address: tuple[str, int] = self._socket.getsockname()[:2]
-        endpoints = {"/": self._about, "/scenes": self._receive, "/pictures": self._render}
-        routes = [Route(p, _guarded(e), methods=["POST" if p != "/" else "GET"]) for p, e in endpoints.items()]
+        endpoints = {"/scenes": self._receive, "/pictures": self._render}
+        routes = [Route(path, _guarded(endpoint), methods=["POST"]) for path, endpoint in endpoints.items()]
         config = uvicorn.Config(
             Starlette(routes=routes, exception_handlers=_ERRORS), loop="asyncio", http="h11", ws="none", lifespan="off",
             log_config=None, access_log=False, limit_concurrency=_MAX_CONNECTIONS,
@@ -89,9 +88,6 @@ class Server:
     def __exit__(self, *_: object) -> None:
         self._server.should_exit = True
         self._thread.join()
-
-    async def _about(self, request: Request) -> Response:
-        return JSONResponse({"protocol": PROTOCOL, "network": self.scenes.renderer.info.method})
 
     async def _receive(self, request: Request) -> Response:
         async with self._receiving:  # one body in memory at a time

@@ -1,4 +1,4 @@
-"""Pictures that are made while Blender goes on."""
+"""Pictures rendered in threads, while Blender stays responsive."""
 
 from __future__ import annotations
 
@@ -8,64 +8,55 @@ from dataclasses import replace
 
 import numpy as np
 
-from .client import Cancelled, Request, Server, ServerError, View
-from .viewport import shrunk, square_pixels
+from .client import Cancelled, Server, ServerError, View
+from .windows import shrunk, square_pixels
 
-#: Pixels along the longer side of the smallest picture, and seconds that one may take while the view changes.
+#: Pixels along the longer side of the smallest picture, and seconds per picture while the view changes.
 _SMALLEST, _SECONDS = 64, 0.25
 
 
 class Job:
-    """One picture, begun at once in a thread of its own.
+    """A picture, started at once in a thread of its own.
 
     Attributes:
-        picture: [h, w, 4], once there is one.
-        error: one line, if there was an error.
+        picture: [h, w, 4] when it is finished.
+        error: Reason for its failure, one line.
     """
 
     def __init__(self, server: Server, scene: bytes, view: View) -> None:
         self.picture: np.ndarray | None = None
         self.error = ""
-        self._server, self._scene, self._view = server, scene, view
-        self._request: list[Request] = []
-        self._cancelled = False
-        self._thread = threading.Thread(target=self._run, name="rfpp picture", daemon=True)
+        self._connection = server.connect()
+        self._thread = threading.Thread(target=self._run, args=(server, scene, view), name="rfpp picture", daemon=True)
         self._thread.start()
 
     def wait(self, seconds: float) -> bool:
-        """Whether it has ended within these seconds."""
+        """Return whether it ends within these seconds."""
         self._thread.join(seconds)
         return not self._thread.is_alive()
 
     def cancel(self) -> None:
-        """Returns once the thread has ended."""
-        self._cancelled = True
+        """Cancel the request, and return when the thread has ended."""
         while self._thread.is_alive():
-            for request in self._request:
-                request.cancel()
+            self._connection.cancel()
             self._thread.join(0.05)
 
-    def _run(self) -> None:
+    def _run(self, server: Server, scene: bytes, view: View) -> None:
         try:
-            picture = self._server.picture(self._scene, self._view, self._request)
-            self.picture = None if self._cancelled else picture
+            self.picture = server.picture(scene, view, self._connection)
         except Cancelled:
             pass
         except ServerError as error:
-            self.error = "" if self._cancelled else str(error)
+            self.error = str(error)
 
 
 class Newest:
-    """Pictures of a view that keeps changing: small while it does, whole once it rests.
-
-    What is outdated is never asked for. A thread lives while there is something to do.
+    """Pictures of a changing view: small while it changes, in full once it rests. Outdated views are skipped.
 
     Attributes:
-        picture: the newest there is, [h, w, 4].
-        error: one line, where the newest could not be had.
-
-    Args:
-        server: where they are made.
+        server: Server of the pictures.
+        picture: Newest picture [h, w, 4].
+        error: Reason for a missing newer picture, one line.
     """
 
     def __init__(self, server: Server) -> None:
@@ -74,16 +65,16 @@ class Newest:
         self.error = ""
         self._wanted: tuple[bytes, View] | None = None
         self._lock, self._thread = threading.Lock(), None
-        self._per_pixel: float | None = None
+        self._seconds_per_pixel: float | None = None
 
     @property
     def is_busy(self) -> bool:
-        """Whether another picture will come."""
+        """Whether another picture will follow."""
         with self._lock:
             return self._thread is not None
 
     def want(self, scene: bytes, view: View) -> None:
-        """Another view, or the same one."""
+        """Request a picture, unless it is the one requested last."""
         with self._lock:
             if self._wanted is not None and self._wanted[0] is scene and self._wanted[1] == view:
                 return
@@ -101,28 +92,26 @@ class Newest:
                     self._thread = None
                     return
             scene, view = wanted
-            size = self._soon(view.size)  # of whole pixels, so hardly ever of the same shape
-            small = view if size == view.size else replace(view, size=size, window=square_pixels(view.window, size))
-            if self._draw(scene, small) and small.size != view.size and self._wanted is wanted:
+            size = self._fast_size(view.size)  # rounded, so its pixels have to be made square again
+            draft = view if size == view.size else replace(view, size=size, window=square_pixels(view.window, size))
+            if self._draw(scene, draft) and size != view.size and self._wanted is wanted:
                 self._draw(scene, view)
             done = wanted
 
     def _draw(self, scene: bytes, view: View) -> bool:
         begin = time.perf_counter()
         try:
-            picture = self.server.picture(scene, view)
-        except (ServerError, Cancelled) as error:
+            self.picture, self.error = self.server.picture(scene, view), ""
+        except ServerError as error:
             self.error = str(error)
             return False
-        self.picture, self.error = picture, ""
-        per_pixel = (time.perf_counter() - begin) / (view.size[0] * view.size[1])
-        self._per_pixel = per_pixel if self._per_pixel is None else (self._per_pixel + per_pixel) / 2
+        newest = (time.perf_counter() - begin) / (view.size[0] * view.size[1])
+        self._seconds_per_pixel = (newest + (self._seconds_per_pixel or newest)) / 2
         return True
 
-    def _soon(self, size: tuple[int, int]) -> tuple[int, int]:
-        """(height, width) of a picture that does not take long."""
-        longer = max(size)
-        if self._per_pixel is None:
+    def _fast_size(self, size: tuple[int, int]) -> tuple[int, int]:
+        """Return (height, width) of a picture that takes about `_SECONDS`."""
+        if self._seconds_per_pixel is None:
             return shrunk(size, _SMALLEST)
-        share = (_SECONDS / (self._per_pixel * size[0] * size[1])) ** 0.5
-        return shrunk(size, max(_SMALLEST, int(longer * min(share, 1.0))))
+        share = (_SECONDS / (self._seconds_per_pixel * size[0] * size[1])) ** 0.5
+        return shrunk(size, max(_SMALLEST, int(max(size) * min(share, 1.0))))

@@ -1,22 +1,22 @@
-"""Finding one's way in node trees."""
+"""Queries of node trees."""
 
 from __future__ import annotations
 
 
-def tree_of(item):
-    """The node tree that a material, a light or a world is made by; None where its own settings hold."""
-    return item.node_tree if getattr(item, "use_nodes", True) else None  # from Blender 6 on there is no choice
+def tree_of(owner):
+    """Return the node tree of a material, light or world; None if it uses its own settings."""
+    return owner.node_tree if getattr(owner, "use_nodes", True) else None  # Blender 6 always uses nodes
 
 
-def surface_of(item):
-    """The node that its surface comes from, if there is one."""
-    tree = tree_of(item)
+def surface_of(owner):
+    """Return the node connected to the surface output, or None."""
+    tree = tree_of(owner)
     output = None if tree is None else tree.get_output_node("ALL") or tree.get_output_node("CYCLES")
     return None if output is None else source(output.inputs["Surface"])
 
 
 def source(socket):
-    """The node that feeds an input, past reroutes; None where its own value holds."""
+    """Return the node that feeds an input, past reroutes; None if the input has its own value."""
     while socket.is_linked and socket.links:
         node = socket.links[0].from_node
         if node.type != "REROUTE":
@@ -26,7 +26,7 @@ def source(socket):
 
 
 def constant(socket):
-    """The value of an input that no node changes; None where one does."""
+    """Return the value of an input; None if a node computes it."""
     node = source(socket)
     if node is None:
         return socket.default_value
