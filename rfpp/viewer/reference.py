@@ -13,18 +13,19 @@ from jaxtyping import Float
 from rfpp.errors import UserError
 from rfpp.inference.references import path_traced
 from rfpp.reference.cycles import CyclesSettings
-from rfpp.scene.packed import PackedScene
+from rfpp.scene.packed import PackedScene, pack
 from rfpp.scene.spec import Camera, Scene
 
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """What Cycles made of a scene, and of which.
+    """A path-traced image.
 
     Attributes:
-        radiance: linear.
-        seconds: that it took.
-        scene, camera: that it shows.
+        radiance: Linear radiance.
+        seconds: Render time.
+        scene: Scene of the image.
+        camera: Camera of the image.
     """
 
     radiance: Float[np.ndarray, "h w 3"]
@@ -33,49 +34,43 @@ class Reference:
     camera: Camera
 
     def shows(self, scene: Scene | PackedScene, camera: Camera, size: tuple[int, int]) -> bool:
-        """Whether it is of this very view."""
+        """Return whether it is an image of this view."""
         return self.scene is scene and self.camera == camera and self.radiance.shape[:2] == size
 
 
 class PathTracer:
-    """One reference after another, in a process of its own.
+    """Path-traces one reference after another in a separate process.
 
     Args:
-        settings: of Cycles.
+        settings: Settings of Cycles.
     """
 
     def __init__(self, settings: CyclesSettings):
         self.settings = settings
-        self._beside = ThreadPoolExecutor(1, "path tracing")
+        self._executor = ThreadPoolExecutor(1, "path tracing")
 
-    def trace(
+    def start(
         self,
-        packed: PackedScene,
         scene: Scene | PackedScene,
         camera: Camera,
         size: tuple[int, int],
         done: Callable[[Reference], None],
         failed: Callable[[str], None],
     ) -> None:
-        """Begin one; `done` or, with one line, `failed` is called from another thread when it ends.
+        """Start a reference of (height, width); another thread calls `done`, or `failed` with one line."""
 
-        Args:
-            packed: `scene` seen by `camera` alone.
-            size: (height, width).
-        """
-
-        def work() -> None:
+        def trace() -> None:
             try:
-                [([radiance], seconds)] = path_traced([packed], size, self.settings)
+                [([radiance], seconds)] = path_traced([pack(scene).seen_by([camera])], size, self.settings)
                 done(Reference(radiance, seconds, scene, camera))
             except UserError as error:
                 failed(str(error))
-            except Exception:  # a defect: the executor would keep it to itself
-                failed("path tracing broke down: the viewer's terminal says how")
+            except Exception:  # the executor would discard it
+                failed("path tracing failed: see the viewer's terminal")
                 traceback.print_exc()
 
-        self._beside.submit(work)
+        self._executor.submit(trace)
 
     def close(self) -> None:
-        """Forget what has not begun."""
-        self._beside.shutdown(wait=False, cancel_futures=True)
+        """Discard references that have not started."""
+        self._executor.shutdown(wait=False, cancel_futures=True)

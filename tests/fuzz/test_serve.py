@@ -1,4 +1,4 @@
-"""Whatever a program on this machine sends to the server: a picture, or one line."""
+"""Damaged requests to the server for Blender: a picture, or an error in one line."""
 
 import socket
 from collections.abc import Iterator
@@ -12,6 +12,7 @@ from mutations import altered, damaged, dumped
 from serving import VIEW, scene, server
 
 from rfpp.errors import SceneError
+from rfpp.own_machine import refusal
 from rfpp.serve.image_window import ImageWindow
 from rfpp.serve.render_request import RenderRequest
 from rfpp.serve.scene_renderer import ReceivedScene
@@ -94,3 +95,15 @@ def test_scenes(content: bytes) -> None:
             require_one_line(error)
             return
         one.taken = True
+
+
+ADDRESSES = st.from_regex(r"[a-z0-9.\-\[\]:@/%]{0,30}", fullmatch=True) | st.text(max_size=30)
+
+
+@fuzzed
+@given(ADDRESSES, st.none() | ADDRESSES.map(lambda host: f"http://{host}"))
+def test_origins(host: str, origin: str | None) -> None:
+    with attempt("origins of requests") as one:
+        why = refusal(host, origin)
+        one.taken = why is None
+        assert why is not None or origin in (None, f"http://{host}")

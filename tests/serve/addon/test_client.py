@@ -42,7 +42,7 @@ def finished(newest):
 
 def test_scenes_are_sent_once_and_again_after_a_restart(monkeypatch):
     paths, post = [], client.Connection.post
-    monkeypatch.setattr(client.Connection, "post", lambda self, path, body: paths.append(path) or post(self, path, body))
+    monkeypatch.setattr(client.Connection, "post", lambda it, path, body: paths.append(path) or post(it, path, body))
     with server() as served:
         used = client.Server(served.url)
         glb = scene(intensity=0.0).glb()
