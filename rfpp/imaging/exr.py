@@ -1,7 +1,7 @@
 """OpenEXR images as named layers: the only file that uses the image library.
 
-A layer is an array [H, W] (one channel: half, float32 or uint32) or [H, W, 3 or 4] (half or float32). Image viewers show
-the layer named "RGB". Compression is ZIP, which is lossless.
+A layer is an array [H, W] (one channel: half, float32 or uint32) or [H, W, 3 or 4] (half or float32). Image viewers
+show the layer named "RGB". Compression is ZIP, which is lossless.
 """
 
 from __future__ import annotations

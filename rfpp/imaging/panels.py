@@ -37,7 +37,7 @@ def tone_mapped(radiance: Radiance, stops: float = 0.0) -> UInt8[np.ndarray, "h 
 
 
 def error_map(prediction: Radiance, reference: Radiance) -> UInt8[np.ndarray, "h w 3"]:
-    """Return the mean error over channels of clamp(log2(1 + I), 0, 1): black is 0, pale yellow 0.25 and more, or NaN."""
+    """Return the mean error of clamp(log2(1 + I), 0, 1): black is 0, pale yellow 0.25 and more, or NaN."""
     error = (perceptual(_tensor(prediction)) - perceptual(_tensor(reference))).abs().mean(dim=-1).numpy()
     return false_colours(np.nan_to_num(error / ERROR_FULL_SCALE, nan=1.0))
 

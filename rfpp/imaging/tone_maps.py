@@ -56,9 +56,9 @@ class Perceptual(ToneMap):
 class AgX(ToneMap):
     """AgX by Troy Sobotka (https://github.com/sobotka/AgX), without a look: 16.5 stops on a film-like curve.
 
-    Each channel's logarithm, from 10 stops below middle gray to 6.5 above, goes through a sigmoid that maps middle gray,
-    0.18, to half the signal. Bright colors fade to white, because the primaries are moved toward white before and
-    back afterwards (https://iolite-engine.com/blog_posts/minimal_agx_implementation).
+    The logarithm of each channel, from 10 stops below middle gray to 6.5 above, goes through a sigmoid that maps
+    middle gray, 0.18, to half the signal. Bright colors fade to white, because the primaries are moved toward white
+    before and back afterwards (https://iolite-engine.com/blog_posts/minimal_agx_implementation).
     """
 
     _GRAY, _STOPS_BELOW, _STOPS_ABOVE = 0.18, 10.0, 6.5
@@ -84,7 +84,7 @@ class AgX(ToneMap):
         distance = position - gray
 
         def half(power: float, reach: float) -> Float[Tensor, "h w 3"]:
-            bend = ((2 * self._SLOPE * reach) ** power - 1) * (distance.abs() / reach) ** power
-            return 0.5 + self._SLOPE * distance * (1 + bend) ** (-1 / power)
+            bend = ((2 * self._SLOPE * reach) ** power - 1) * (distance.abs() / reach).pow(power)
+            return 0.5 + self._SLOPE * distance * (1 + bend).pow(-1 / power)
 
         return torch.where(distance < 0, half(self._TOE, gray), half(self._SHOULDER, 1 - gray))
