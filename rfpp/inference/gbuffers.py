@@ -98,23 +98,23 @@ class GBufferSource:
 
         def cast() -> GBuffer:
             size = _BYTES_PER_TRIANGLE * len(triangles)
-            caster = self._cache.recall(("camera", geometry), size, lambda: camera_caster(triangles))
+            caster = self._cache.get_or_compute(("camera", geometry), size, lambda: camera_caster(triangles))
             return first_hit(triangles, c2w, fov, height, width, caster, points)
 
         key = (geometry, c2w.tobytes(), float(fov), height, width, points)
-        return self._cache.recall(key, _BYTES_PER_PIXEL * height * width, cast)
+        return self._cache.get_or_compute(key, _BYTES_PER_PIXEL * height * width, cast)
 
     def lights(self, triangles: SceneTriangles, light: str | None = None) -> LightSampler:
         """Return the sampler of all lights, or of one; it depends on all materials, which reflect."""
         key = ("lights", geometry_digest(triangles), digest_of(triangles.material))
         size = _SAMPLER_BYTES_PER_TRIANGLE * len(triangles)
-        lights = self._cache.recall(key, size, lambda: LightSampler(triangles, self.shadow_caster(triangles)))
+        lights = self._cache.get_or_compute(key, size, lambda: LightSampler(triangles, self.shadow_caster(triangles)))
         return lights if light is None else lights.only(light)
 
     def shadow_caster(self, triangles: SceneTriangles) -> RayCaster:
         """Return a caster over all triangles, emitters included."""
         key, size = ("shadows", geometry_digest(triangles)), _BYTES_PER_TRIANGLE * len(triangles)
-        return self._cache.recall(key, size, lambda: RayCaster(triangles.positions))
+        return self._cache.get_or_compute(key, size, lambda: RayCaster(triangles.positions))
 
     def _wants(self, channels: Collection[str]) -> bool:
         return not set(self.channels).isdisjoint(channels)

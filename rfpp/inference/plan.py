@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
+import psutil
+
 from rfpp.errors import SceneError, UserError
-from rfpp.inference.memory import require_memory
 from rfpp.scene.packed import PackedScene
+
+#: Memory of a shading point beside the network, measured at 256² and 512² pixels with 2 × 2 points each.
+_BYTES_PER_POINT = 1200
 
 
 @dataclass(frozen=True)
@@ -52,3 +57,21 @@ def image_size(resolution: int | tuple[int, int], patch_size: int) -> tuple[int,
     if min(height, width) < 1 or height % patch_size or width % patch_size:
         raise UserError(f"resolution {width} x {height} does not divide into patches of {patch_size}: use multiples")
     return height, width
+
+
+def require_memory(height: int, width: int, points: int, bytes_per_point: int = _BYTES_PER_POINT) -> None:
+    """Raise UserError, with the numbers, if an image needs more memory than there is.
+
+    Args:
+        height: Image height in pixels.
+        width: Image width in pixels.
+        points: Samples along each side of a pixel.
+        bytes_per_point: Memory of a sample.
+    """
+    needed, free = height * width * points**2 * bytes_per_point, psutil.virtual_memory().available
+    if needed > free:
+        side = math.isqrt(free // (points**2 * bytes_per_point)) // 64 * 64
+        raise UserError(
+            f"resolution {width} x {height}: takes about {needed / 2**30:,.0f} GB of memory, {free / 2**30:,.0f} are "
+            f"free: reduce it, {side} x {side} fits"
+        )

@@ -55,7 +55,7 @@ class RadiositySource:
         key = ("cells", geometry_digest(triangles), digest_of(triangles.material), light)
         size = _CELL_BYTES_PER_TRIANGLE * len(triangles)
         places = self._places(triangles)
-        return self._cache.recall(key, size, lambda: cells_at(places, self.gbuffers.lights(triangles, light)))
+        return self._cache.get_or_compute(key, size, lambda: cells_at(places, self.gbuffers.lights(triangles, light)))
 
     def seen(self, plan: Plan, view: int, light: str | None = None, traced: bool = False) -> SeenView:
         """Return a view's G-buffer and the cells that its pixels see; see `GBufferSource.gbuffer`."""
@@ -70,7 +70,7 @@ class RadiositySource:
             return find_places(triangles, self.gbuffers.shadow_caster(triangles))
 
         key = ("places", geometry_digest(triangles))
-        return self._cache.recall(key, _CELL_BYTES_PER_TRIANGLE * len(triangles), find)
+        return self._cache.get_or_compute(key, _CELL_BYTES_PER_TRIANGLE * len(triangles), find)
 
 
 def as_tensors(seen: SeenView, scene: PackedScene, view: int, cells: int, device: torch.device) -> View:

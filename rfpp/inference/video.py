@@ -1,4 +1,4 @@
-"""MP4 files: H.264 as every browser plays it."""
+"""MP4 files: H.264 in a profile that all browsers play."""
 
 from __future__ import annotations
 
@@ -15,15 +15,19 @@ from jaxtyping import UInt8
 
 from rfpp.errors import MissingDependencyError, UserError
 
-#: x264's constant rate factor: 18 is taken for visually lossless.
-_QUALITY = 18
+#: x264's constant rate factor: 18 is visually lossless.
+_QUALITY = "18"
+_OPTIONS = (
+    "-vf scale=out_color_matrix=bt709:out_range=tv -colorspace bt709 -color_primaries bt709 -color_trc bt709 "
+    f"-c:v libx264 -crf {_QUALITY} -pix_fmt yuv420p -movflags +faststart"
+).split()
 
 
 def encoder() -> str:
-    """The path of an ffmpeg program, which is run as a process of its own: it is under the GPL, this project is not.
+    """Return the path of ffmpeg, a GPL program that runs in a separate process.
 
     Raises:
-        MissingDependencyError: there is none.
+        MissingDependencyError: If it is missing.
     """
     try:
         import imageio_ffmpeg
@@ -35,55 +39,48 @@ def encoder() -> str:
 
 
 def write_video(pictures: Iterable[UInt8[np.ndarray, "h w 3"]], path: Path, fps: float | int) -> Path:
-    """Write pictures of one size as an MP4 file, atomically, creating its folder; returns `path`.
+    """Write pictures of one size as an MP4 file, atomically, and return its path.
 
-    H.264 halves the resolution of colour, so that sides must be even: an odd one is extended by a row or column.
+    H.264 halves the resolution of color, so odd sides are extended by a row or column.
 
     Args:
-        pictures: at least one; read one at a time.
-        fps: frames per second.
+        pictures: At least one picture.
+        path: Path of the file; its folder is created.
+        fps: Frames per second.
 
     Raises:
-        MissingDependencyError: there is no ffmpeg.
-        UserError: the file cannot be written.
+        MissingDependencyError: If ffmpeg is missing.
+        UserError: If the file cannot be written.
     """
-    program, pictures = encoder(), iter(pictures)
-    first = _even(next(pictures))
-    height, width = first.shape[:2]
-    colours = ["-colorspace", "bt709", "-color_primaries", "bt709", "-color_trc", "bt709"]
+    pictures = map(_even, pictures)
+    first = next(pictures)
+    raw = f"-v error -f rawvideo -pix_fmt rgb24 -s {first.shape[1]}x{first.shape[0]} -r {fps} -i -".split()
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.") as folder:
-            made = Path(folder) / "video.mp4"
-            command = [
-                program, "-v", "error", "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}",
-                "-r", str(fps), "-i", "-", "-vf", "scale=out_color_matrix=bt709:out_range=tv", *colours,
-                "-c:v", "libx264", "-crf", str(_QUALITY), "-pix_fmt", "yuv420p", "-movflags", "+faststart", str(made),
-            ]  # fmt: skip
-            _feed(command, (picture.tobytes() for picture in chain([first], map(_even, pictures))), path)
-            os.replace(made, path)
+            video = Path(folder) / "video.mp4"
+            _run([encoder(), *raw, *_OPTIONS, str(video)], (p.tobytes() for p in chain([first], pictures)), path)
+            os.replace(video, path)
     except OSError as error:
         raise UserError(f"{path}: cannot be written ({error.strerror}): free space or choose another place") from None
     return path
 
 
-def _feed(command: list[str], frames: Iterable[bytes], path: Path) -> None:
-    """Run a program with frames on its standard input. Raises UserError with its last words where it fails."""
-    with tempfile.TemporaryFile() as words:
-        streams = {"stdin": subprocess.PIPE, "stdout": subprocess.DEVNULL, "stderr": words}
-        # A broken pipe means that the program gave up; it says why.
-        with suppress(BrokenPipeError), subprocess.Popen(command, **streams) as process:
+def _run(command: list[str], frames: Iterable[bytes], path: Path) -> None:
+    """Run a program with frames on its standard input. Raises UserError with its last message if it fails."""
+    with tempfile.TemporaryFile() as log:
+        streams = {"stdin": subprocess.PIPE, "stdout": subprocess.DEVNULL, "stderr": log}
+        with suppress(BrokenPipeError), subprocess.Popen(command, **streams) as process:  # its exit status says more
             try:
-                for frame in frames:
-                    process.stdin.write(frame)
+                process.stdin.writelines(frames)
             except BrokenPipeError:
                 raise
-            except BaseException:  # out of `frames`, or Ctrl-C
+            except BaseException:  # raised by `frames`, or Ctrl-C
                 process.kill()
                 raise
         if process.returncode:
-            words.seek(0)
-            last = (words.read().decode(errors="replace").strip().splitlines() or ["no reason given"])[-1]
+            log.seek(0)
+            last = (log.read().decode(errors="replace").strip().splitlines() or ["no message"])[-1]
             raise UserError(f"{path}: ffmpeg could not write it ({last}): free space or choose another place")
 
 

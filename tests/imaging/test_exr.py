@@ -1,8 +1,12 @@
 """OpenEXR files: exact round trips, and one clear error for damaged ones."""
 
+import errno
+import os
+
 import numpy as np
 import pytest
 
+from rfpp.errors import UserError
 from rfpp.imaging.exr import (
     HALF_MAX,
     ImageFileError,
@@ -91,3 +95,16 @@ def test_values_beyond_half_floats_stay_in_single_precision():
     usual, bright = np.full((2, 2, 3), 3.0, np.float32), np.full((2, 2, 3), 2 * HALF_MAX, np.float32)
     assert compact(usual).dtype == np.float16
     np.testing.assert_array_equal(compact(bright), bright)
+
+
+def test_a_full_disk_names_the_path_and_keeps_the_old_file(layers, tmp_path, monkeypatch):
+    path = write_exr(tmp_path / "view.exr", {"RGB": layers["RGB"]})
+
+    def full(*_):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "replace", full)
+    with pytest.raises(UserError, match=r"view\.exr.*No space left"):
+        write_exr(path, {"RGB": layers["RGB"] * 2})
+    np.testing.assert_array_equal(read_exr(path)["RGB"], layers["RGB"])
+    assert [p.name for p in tmp_path.iterdir()] == ["view.exr"]

@@ -1,4 +1,4 @@
-"""Turntable and Swing: around a scene, or to and fro before it."""
+"""Turntable and Swing: a camera that orbits the scene."""
 
 from __future__ import annotations
 
@@ -19,34 +19,30 @@ from rfpp.scene.triangles import SceneTriangles
 
 
 class _Orbit(Motion):
-    """The camera moves about the vertical axis through the middle of the scene.
-
-    It keeps its height, its distance from the axis and what it looks at on it. The first frame is the camera's own, and
-    the one after the last would be the first again, so that the film can be looped.
-    """
+    """Rotation of the camera about the vertical axis through the center of the scene; a loop."""
 
     frames: Annotated[int, Field(ge=1)]
 
     @abstractmethod
     def _angle(self, share: float) -> float:
-        """In radians, counter-clockwise from above, after this share of the film."""
+        """Return the angle in radians, counter-clockwise from above, after a share of the animation."""
 
     def frames_of(self, scene: Path, camera: int, load: Load = load_scene) -> Frames:
         start = with_cameras(load(scene), scene, [camera])
-        middle = _middle(start.triangles)
+        center = _center(start.triangles)
 
-        def at(number: int) -> PackedScene:
-            turn = _about_vertical(self._angle(number / self.frames), middle)
+        def create(number: int) -> PackedScene:
+            turn = _rotation(self._angle(number / self.frames), center)
             return replace(start, c2w=(turn @ start.c2w.astype(np.float64)).astype(np.float32))
 
-        return Frames(self.frames, at)
+        return Frames(self.frames, create)
 
 
 class Turntable(_Orbit):
-    """Once around the scene, at even speed.
+    """Once around the scene at constant speed.
 
     Attributes:
-        frames: of the turn.
+        frames: Number of frames.
     """
 
     @property
@@ -58,11 +54,11 @@ class Turntable(_Orbit):
 
 
 class Swing(_Orbit):
-    """To one side, to the other and back, for scenes that have walls behind them.
+    """To both sides and back, for scenes with walls behind them.
 
     Attributes:
-        frames: of the whole way.
-        degrees: from one side to the other.
+        frames: Number of frames.
+        degrees: Angle between both sides.
     """
 
     degrees: Annotated[float, Field(gt=0, le=360)]
@@ -75,15 +71,15 @@ class Swing(_Orbit):
         return math.radians(self.degrees) / 2 * math.sin(2 * math.pi * share)
 
 
-def _middle(triangles: SceneTriangles) -> Float[np.ndarray, " 3"]:
-    """Of the bounding box of what can be seen; lights, which cannot, often stand far away on one side."""
+def _center(triangles: SceneTriangles) -> Float[np.ndarray, " 3"]:
+    """Return the center of the visible surfaces' bounding box; lights are invisible and may be far away."""
     visible = triangles.positions[~triangles.is_emissive].reshape(-1, 3)
     corners = visible if len(visible) else triangles.positions.reshape(-1, 3)
     return (corners.min(axis=0) + corners.max(axis=0)).astype(np.float64) / 2
 
 
-def _about_vertical(angle: float, point: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "4 4"]:
-    """The rotation by `angle` about the vertical line through `point`."""
+def _rotation(angle: float, point: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "4 4"]:
+    """Return the rotation by `angle` about the vertical axis through a point."""
     turn = np.eye(4)
     turn[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
     turn[:3, 3] = point - turn[:3, :3] @ point

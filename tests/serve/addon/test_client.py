@@ -67,7 +67,8 @@ def test_errors_of_the_server_are_passed_on():
 
 
 @pytest.mark.parametrize(
-    "address", ["http://192.0.2.7:8700", "https://127.0.0.1:8700", "127.0.0.1:8700", "", "http://[::1", "ftp://localhost"]
+    "address",
+    ["http://192.0.2.7:8700", "https://127.0.0.1:8700", "127.0.0.1:8700", "", "http://[::1", "ftp://localhost"],
 )
 def test_addresses_of_other_machines_are_refused(address):
     with pytest.raises(client.ServerError, match="not an address of this machine"):
