@@ -32,6 +32,7 @@ from rfpp.inference.relighting import Images, SolvedLights, solve_lights, with_f
 from rfpp.inference.stills import write_still
 from rfpp.scene.io.loading import load_scene
 from rfpp.scene.io.saving import fits_json, save_scene
+from rfpp.scene.spec import Scene
 from rfpp.training.tracking.registry import checkpoint_file
 
 
@@ -42,6 +43,8 @@ def main(cfg: DictConfig) -> Path:
     path, targets = Path(required(cfg, "scene")), _as_list(required(cfg, "target"))
     scene = load_scene(path, **{name: cfg[name] for name in ("triangles", "up", "transparent", "backdrop")})
     cameras = list(range(len(targets))) if cfg.cameras is None else [int(camera) for camera in _as_list(cfg.cameras)]
+    if not isinstance(scene, Scene):
+        raise UserError(f"{path}: holds triangles but no objects: use a format other than H5")
     if len(cameras) != len(targets):
         raise UserError(f"target: {len(targets)} pictures for cameras={cameras}: give one for each")
     views = with_cameras(scene, path, cameras)

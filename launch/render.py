@@ -39,7 +39,7 @@ from rfpp.inference.stills import (
     write_still,
     written_in_background,
 )
-from rfpp.inference.video import encoder, write_video
+from rfpp.inference.video import require_encoder, write_video
 from rfpp.metrics.flip import flip_library
 from rfpp.progress import counting
 from rfpp.reference.cycles import CyclesSettings, require_blender
@@ -65,7 +65,7 @@ def main(cfg: DictConfig) -> list[Path]:
                 raise UserError(f"{parts}=separate: applies to stills, not to animations: omit it")
         scenes = [motion.frames_of(path, chosen.single_camera(), chosen.load) for path in chosen.scene]
         files = [chosen.video(path, motion.name) for path in chosen.scene]
-        encoder()  # report its absence before rendering
+        require_encoder()  # before rendering
     else:
         scenes = [with_cameras(chosen.load(path), path, chosen.cameras) for path in chosen.scene]
         files = [chosen.stills(path, len(scene.fov)) for path, scene in zip(chosen.scene, scenes, strict=True)]

@@ -30,7 +30,6 @@ from rfpp.training.tracking.registry import checkpoint_file
 @entry_point("view")
 def main(cfg: DictConfig) -> None:
     """Serve the page until Ctrl-C."""
-    from rfpp.viewer.reference import PathTracer
     from rfpp.viewer.server import Viewer  # needs an extra
 
     checkpoint = checkpoint_file(str(cfg.checkpoint), cfg.registry.tracking_uri, Path(cfg.registry.folder))
@@ -39,7 +38,7 @@ def main(cfg: DictConfig) -> None:
         renderer,
         load_scene(cfg.scene),
         tone_maps(),
-        PathTracer(instantiate(settings("reference", "reference_settings", cfg.reference_settings))),
+        instantiate(settings("reference", "reference_settings", cfg.reference_settings)),
         host=cfg.host,
         port=cfg.port,
         longer_side=cfg.resolution or max(renderer.info.resolution),

@@ -8,16 +8,14 @@ squares would be dominated by a few pixels with displaced highlights. Not in the
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy.optimize import nnls
 
-from rfpp.scene.packed import PackedScene
 from rfpp.scene.spec import Scene
-from rfpp.scene.texture import MATERIAL_CHANNELS
 from rfpp.scene.triangles import EMISSION
 
 Images = Float[np.ndarray, "v h w 3"]
@@ -110,31 +108,17 @@ def _least_squares(a: Float[np.ndarray, "n lights"], b: Float[np.ndarray, " n"])
     return nnls(stacked, np.concatenate([rows[:, -1], np.full(a.shape[1], strength)]))[0]
 
 
-def with_factors(scene: Scene | PackedScene, factors: Mapping[str, Factor]) -> Scene | PackedScene:
+def with_factors(scene: Scene, factors: Mapping[str, Factor]) -> Scene:
     """Return the scene with the emission of these objects multiplied."""
-    if isinstance(scene, PackedScene):
-        triangles, texture = scene.triangles, scene.texture
-        rows = np.ones((len(triangles), 3), np.float32)
-        for name, factor in factors.items():
-            rows[triangles.object_index == triangles.object_names.index(name)] = factor
-        if texture is not None:
-            texture = texture.copy()
-            texture[:, MATERIAL_CHANNELS[EMISSION]] *= rows[..., None, None]
-        material = _emission_times(triangles.material, rows)
-        return replace(scene, triangles=replace(triangles, material=material), texture=texture)
     objects = []
     for item in scene.objects:
         if item.name in factors:
             factor, rows = factors[item.name], item.face_material
             emissive = tuple((np.array(item.material.emissive) * factor).tolist())
+            if rows is not None:
+                rows = rows.copy()
+                rows[:, EMISSION] *= factor.astype(rows.dtype)
             material = item.material.model_copy(update={"emissive": emissive})
-            rows = None if rows is None else _emission_times(rows, factor.astype(rows.dtype))
             item = item.model_copy(update={"material": material, "face_material": rows})
         objects.append(item)
     return scene.model_copy(update={"objects": tuple(objects)})
-
-
-def _emission_times(material: np.ndarray, factors: np.ndarray) -> np.ndarray:
-    material = material.copy()
-    material[:, EMISSION] *= factors
-    return material

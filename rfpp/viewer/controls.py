@@ -6,6 +6,7 @@ import io
 import tempfile
 import zipfile
 from collections.abc import Callable, Mapping
+from concurrent.futures import Executor, Future
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -15,12 +16,13 @@ from PIL import Image
 from rfpp.errors import UserError
 from rfpp.files import as_file_name
 from rfpp.imaging.tone_maps import ToneMap
+from rfpp.reference.cycles import CyclesSettings
 from rfpp.scene.io.saving import fits_json, save_scene
 from rfpp.scene.packed import PackedScene, pack
 from rfpp.scene.spec import Camera, Scene, SceneObject
 from rfpp.viewer import edits
 from rfpp.viewer.layers import Layer
-from rfpp.viewer.reference import PathTracer, Reference
+from rfpp.viewer.reference import Reference, path_trace
 from rfpp.viewer.session import Drawn, Session
 from rfpp.viewer.viser_cameras import camera_of, move_to
 
@@ -161,24 +163,27 @@ class ObjectControls:
         self._fill()
 
 
-def add_reference(gui: viser.GuiApi, session: Session, tracer: PathTracer, report: Report) -> None:
-    """Add path tracing and comparison with the reference."""
+def add_reference(
+    gui: viser.GuiApi, session: Session, settings: CyclesSettings, executor: Executor, report: Report
+) -> None:
+    """Add path tracing in the background, and comparison with the reference."""
     with gui.add_folder("Path-traced reference"):
-        trace = gui.add_button(f"Path-trace this view ({tracer.settings.samples} samples)")
+        trace = gui.add_button(f"Path-trace this view ({settings.samples} samples)")
         share = gui.add_slider("Wipe", min=0.0, max=1.0, step=0.01, initial_value=session.view.share)
         status = gui.add_markdown("None yet.")
 
-    def done(reference: Reference) -> None:
-        trace.disabled = False
-        session.change(reference=reference)
-
-    def failed(message: str) -> None:
-        trace.disabled, status.content = False, "None yet."
-        report(message)
-
     def start(_: object) -> None:
         view, trace.disabled, status.content = session.view, True, "Path tracing …"
-        tracer.start(view.scene, view.camera, session.pacing.size(view.longer_side, view.aspect), done, failed)
+        size = session.pacing.size(view.longer_side, view.aspect)
+        executor.submit(path_trace, view.scene, view.camera, size, settings).add_done_callback(finish)
+
+    def finish(future: Future[Reference]) -> None:
+        trace.disabled = False
+        try:
+            session.change(reference=future.result())
+        except UserError as error:
+            status.content = "None yet."
+            report(str(error))
 
     def update_status(drawn: Drawn) -> None:
         reference = session.view.reference

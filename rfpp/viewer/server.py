@@ -1,9 +1,10 @@
-"""The viewer's web server: each visitor has a session and controls; they share renderer and path tracer."""
+"""The viewer's web server: each visitor has a session and controls; they share the renderer."""
 
 from __future__ import annotations
 
 import socket
 import threading
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import redirect_stdout
 from functools import partial
 from io import StringIO
@@ -12,11 +13,11 @@ import viser
 
 from rfpp.errors import SceneError, UserError
 from rfpp.inference.renderer import Renderer
+from rfpp.reference.cycles import CyclesSettings
 from rfpp.scene.packed import PackedScene
 from rfpp.scene.spec import Scene
 from rfpp.viewer.controls import ObjectControls, ToneMaps, add_reference, add_saving, add_view
 from rfpp.viewer.layers import layers_of
-from rfpp.viewer.reference import PathTracer
 from rfpp.viewer.session import Drawn, Session, View
 from rfpp.viewer.viser_cameras import aspect_of, camera_of, cameras_of, move_to
 
@@ -30,7 +31,7 @@ class Viewer:
         renderer: Renderer of the pictures.
         scene: Scene with at least one camera; a packed one cannot be edited.
         tone_maps: Tone maps by name; the first is the default.
-        tracer: Path tracer of references.
+        cycles: Settings of path-traced references.
         host: Address to listen on.
         port: Port to listen on, or the next free one.
         longer_side: Pixels of an image at rest.
@@ -46,7 +47,7 @@ class Viewer:
         renderer: Renderer,
         scene: Scene | PackedScene,
         tone_maps: ToneMaps,
-        tracer: PathTracer,
+        cycles: CyclesSettings,
         host: str,
         port: int,
         longer_side: int,
@@ -54,9 +55,9 @@ class Viewer:
     ):
         if not (cameras := cameras_of(scene)):
             raise SceneError(f"scene '{scene.name}' has no camera: add one to its `cameras`")
-        self._renderer, self._scene, self._cameras, self._tracer = renderer, scene, cameras, tracer
+        self._renderer, self._scene, self._cameras, self._cycles = renderer, scene, cameras, cycles
         self._tone_maps, self._longer_side, self._moving_seconds = tone_maps, longer_side, moving_seconds
-        self._lock = threading.Lock()
+        self._lock, self._executor = threading.Lock(), ThreadPoolExecutor(1, "path tracing")
         self._sessions: dict[int, Session] = {}
         _require_address(host, port)
         with redirect_stdout(StringIO()):  # viser prints a banner
@@ -76,7 +77,7 @@ class Viewer:
     def __exit__(self, *_: object) -> None:
         for session in self._sessions.values():
             session.close()
-        self._tracer.close()
+        self._executor.shutdown(wait=False, cancel_futures=True)
         self._server.stop()
 
     def _open_session(self, client: viser.ClientHandle) -> None:
@@ -98,7 +99,7 @@ class Viewer:
         add_view(client, session, layers, self._tone_maps, self._cameras)
         if isinstance(self._scene, Scene):
             ObjectControls(client, session, self._scene, report)
-        add_reference(client.gui, session, self._tracer, report)
+        add_reference(client.gui, session, self._cycles, self._executor, report)
         add_saving(client, session)
         client.camera.on_update(lambda _: session.change(camera=camera_of(client), aspect=aspect_of(client)))
         session.start()

@@ -8,7 +8,6 @@ from networks import checkpoint_info
 from rfpp import Renderer
 from rfpp.inference.relighting import solve_lights, with_factors
 from rfpp.radiosity.radiosity import Radiosity
-from rfpp.scene.packed import pack
 
 EVERYWHERE = np.ones((2, 8, 8), bool)
 
@@ -77,10 +76,9 @@ def test_indistinguishable_lights_are_reported(layers):
     np.testing.assert_allclose(solved.factors["key"] + 2 * solved.factors["rim"], 5.0, rtol=1e-2)
 
 
-@pytest.mark.parametrize("form", [scene, lambda: pack(scene())], ids=["scene", "packed"])
-def test_a_scene_with_factors_looks_like_the_mixture(form):
+def test_a_scene_with_factors_looks_like_the_mixture():
     renderer = Renderer(Radiosity(), checkpoint_info(resolution=(16, 16)))
     factors = {"lamp": np.array([0.5, 1.0, 2.0]), "spot": np.array([2.0, 2.0, 0.0])}
-    layers = renderer.render_lights(form(), light_samples=4)
-    rendered = renderer.render(with_factors(form(), factors), light_samples=4)
+    layers = renderer.render_lights(scene(), light_samples=4)
+    rendered = renderer.render(with_factors(scene(), factors), light_samples=4)
     np.testing.assert_allclose(rendered, mixed(layers, **factors), rtol=1e-3, atol=1e-5)

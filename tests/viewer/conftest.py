@@ -8,7 +8,6 @@ from networks import checkpoint_info, network
 from rfpp.imaging.tone_maps import SRGB, AgX
 from rfpp.inference.renderer import Renderer
 from rfpp.reference.cycles import CyclesSettings
-from rfpp.viewer.reference import PathTracer
 from rfpp.viewer.server import Viewer
 
 
@@ -18,14 +17,12 @@ def renderer():
 
 
 @pytest.fixture
-def tracer():
-    made = PathTracer(CyclesSettings(4, 0.0, False, 2, 2, 2, 0.0, 0.0, True, 0.0, 0.0, 1.5, 0, 1))
-    yield made
-    made.close()
+def cycles():
+    return CyclesSettings(4, 0.0, False, 2, 2, 2, 0.0, 0.0, True, 0.0, 0.0, 1.5, 0, 1)
 
 
 @pytest.fixture
-def viewer(renderer, tracer):
+def viewer(renderer, cycles):
     tone_maps = {"srgb": SRGB, "agx": AgX}
-    with Viewer(renderer, scene(), tone_maps, tracer, "127.0.0.1", 0, longer_side=64, moving_seconds=10) as made:
+    with Viewer(renderer, scene(), tone_maps, cycles, "127.0.0.1", 0, longer_side=64, moving_seconds=10) as made:
         yield made

@@ -1,6 +1,5 @@
 """The viewer's server without a browser: addresses, files and references."""
 
-import queue
 import tempfile
 import zipfile
 from io import BytesIO
@@ -8,21 +7,22 @@ from pathlib import Path
 
 import pytest
 from edited_scenes import scene
+from marks import requires_blender
 
 from rfpp.errors import UserError
 from rfpp.files import is_plain_name
 from rfpp.scene.io.loading import load_scene
-from rfpp.viewer import reference
 from rfpp.viewer.controls import scene_file
+from rfpp.viewer.reference import path_trace
 from rfpp.viewer.server import Viewer
 
 
 @pytest.mark.parametrize(
     ("host", "port", "named"), [("127.0.0.1", 70000, "port=70000"), ("203.0.113.7", 0, "host=203")]
 )
-def test_an_address_of_another_machine_is_refused(renderer, tracer, host, port, named):
+def test_an_address_of_another_machine_is_refused(renderer, cycles, host, port, named):
     with pytest.raises(UserError, match=named):
-        Viewer(renderer, scene(), {}, tracer, host, port, longer_side=64, moving_seconds=1)
+        Viewer(renderer, scene(), {}, cycles, host, port, longer_side=64, moving_seconds=1)
 
 
 @pytest.mark.parametrize("name", ["../../escaped", "/tmp/escaped", "a/b", "..", "\\..\\x"])
@@ -43,14 +43,9 @@ def test_a_saved_scene_loads_again(tmp_path):
     assert loaded.cameras == (scene().cameras[1],)
 
 
-@pytest.mark.parametrize(
-    ("error", "message"), [(UserError("no Blender"), "no Blender"), (ZeroDivisionError("a defect"), "failed")]
-)
-def test_failures_of_references_are_reported(error, message, tracer, monkeypatch):
-    def fail(*_):
-        raise error
-
-    monkeypatch.setattr(reference, "path_traced", fail)
-    received = queue.Queue()
-    tracer.start(scene(), scene().cameras[0], (16, 16), received.put, received.put)
-    assert message in received.get(timeout=30)
+@requires_blender
+def test_a_reference_shows_its_view(cycles):
+    reference = path_trace(scene(), scene().cameras[0], (16, 24), cycles)
+    assert reference.radiance.shape == (16, 24, 3) and reference.radiance.max() > 0
+    assert reference.shows(reference.scene, scene().cameras[0], (16, 24))
+    assert not reference.shows(reference.scene, scene().cameras[1], (16, 24))
