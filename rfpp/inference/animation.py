@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import groupby
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -15,7 +16,7 @@ from jaxtyping import Float, UInt8
 from rfpp.imaging.exr import ImageFileError, compact, decode_exr, exr_attributes, read_exr, write_exr
 from rfpp.imaging.panels import error_map
 from rfpp.imaging.tone_maps import ToneMap
-from rfpp.inference.digest import digest_of
+from rfpp.inference.bounded_cache import digest_of
 from rfpp.inference.references import path_traced
 from rfpp.inference.renderer import Renderer
 from rfpp.inference.stills import written_in_background
@@ -26,24 +27,18 @@ from rfpp.scene.packed import PackedScene
 Image = Float[np.ndarray, "h w 3"]
 #: Receives (finished frames, all frames); see `rfpp.progress.counting`.
 Show = Callable[[int, int], None]
-#: Name in a file's header of the digest of everything its image depends on.
+#: Name of the digest in a file's header.
 _ORIGIN = "rendered_from"
 
 
-@dataclass(frozen=True, eq=False)
-class _Frame:
+class _Frame(NamedTuple):
     number: int
     scene: PackedScene
-    origin: str
+    origin: str  # digest of everything the image depends on
 
 
 class _FrameFolder:
-    """Frames in a folder: 00000.exr, 00001.exr, …, each with a digest of its inputs.
-
-    Args:
-        folder: Path of the folder.
-        settings: Digest of renderer and settings.
-    """
+    """Frames in a folder: 00000.exr, 00001.exr, …, each with a digest of its scene, the renderer and its settings."""
 
     def __init__(self, folder: Path, settings: bytes):
         self._folder, self._settings = folder, settings
@@ -92,15 +87,10 @@ class Animation:
         self._rendered = self._traced = None
 
     def render(self, renderer: Renderer, sampling: Mapping[str, int | None], show: Show) -> int:
-        """Render missing frames and return their number. Frames of one scene are rendered together.
+        """Render missing frames, those of one scene together, and return their number.
 
-        Args:
-            renderer: The renderer.
-            sampling: Arguments of `Renderer.render` by name.
-            show: Receives the progress.
-
-        Raises:
-            UserError: If a frame cannot be created or written; earlier frames are kept.
+        `sampling` holds arguments of `Renderer.render`, `show` receives the progress. Raises UserError if a frame
+        cannot be created or written; earlier frames are kept.
         """
         weights = sorted(renderer.engine.module.state_dict().items())
         parts = (part for name, tensor in weights for part in (name.encode(), _array(tensor)))
@@ -118,12 +108,7 @@ class Animation:
         return count
 
     def path_trace(self, settings: CyclesSettings, show: Show) -> int:
-        """Path-trace missing frames and return their number.
-
-        Raises:
-            UserError: As for `render`.
-            MissingDependencyError: If Blender is missing.
-        """
+        """Path-trace missing frames and return their number. Raises as `render`, and if Blender is missing."""
         self._traced, count = _FrameFolder(self.folder / "reference", digest_of(f"{settings} {self.size}".encode())), 0
         pending: deque[_Frame] = deque()
 

@@ -1,30 +1,26 @@
-"""A cache with a limit in bytes that discards the least recently used values."""
+"""A cache with a limit in bytes that discards the least recently used values, and digests as its keys."""
 
 from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
+from hashlib import blake2b
 from threading import Lock
 from typing import Generic, TypeVar
+
+import numpy as np
 
 Value = TypeVar("Value")
 
 
 class BoundedCache(Generic[Value]):
-    """Thread-safe cache.
-
-    Args:
-        max_bytes: Limit of all values together.
-    """
+    """Thread-safe cache with a limit of all values together."""
 
     def __init__(self, max_bytes: int):
         self.max_bytes, self.bytes = max_bytes, 0
         self._entries: OrderedDict[Hashable, tuple[Value, int]] = OrderedDict()
         self._lock = Lock()
         self._computing: dict[Hashable, Lock] = {}
-
-    def __len__(self) -> int:
-        return len(self._entries)
 
     def get(self, key: Hashable) -> Value | None:
         """Return a value, or None if it is not in the cache."""
@@ -62,3 +58,13 @@ class BoundedCache(Generic[Value]):
         finally:
             with self._lock:
                 self._computing.pop(key, None)
+
+
+def digest_of(*parts: np.ndarray | bytes) -> bytes:
+    """Return 16 bytes that identify the content and length of each part."""
+    digest = blake2b(digest_size=16)
+    for part in parts:
+        content = memoryview(np.ascontiguousarray(part)).cast("B") if isinstance(part, np.ndarray) else part
+        digest.update(len(content).to_bytes(8, "little"))
+        digest.update(content)
+    return digest.digest()

@@ -7,8 +7,7 @@ from collections.abc import Callable, Collection, Sequence
 import numpy as np
 from jaxtyping import Float
 
-from rfpp.inference.bounded_cache import BoundedCache
-from rfpp.inference.digest import digest_of
+from rfpp.inference.bounded_cache import BoundedCache, digest_of
 from rfpp.raycast.first_hit import DIRECT_CHANNELS, GBuffer, camera_caster, first_hit, stack_channels
 from rfpp.raycast.known_light import with_known_light
 from rfpp.raycast.light_sampler import LightSampler
@@ -71,17 +70,10 @@ class GBufferSource:
         light: str | None = None,
         traced: bool = False,
     ) -> GBuffer:
-        """Return the G-buffer of a view, with the light that `channels` ask for.
+        """Return the G-buffer of a view, with the light that `channels` need.
 
-        Args:
-            scene: The scene with its cameras.
-            view: Number of the camera.
-            height: Image height in pixels.
-            width: Image width in pixels.
-            light_samples: See `of`.
-            points: See `of`.
-            light: Object whose light alone counts; None for all lights.
-            traced: Whether to record derivatives by materials (`rfpp.raycast.traces`).
+        Arguments are those of `of`, and the number of the camera, the object whose light alone counts (None for all
+        lights), and whether to record derivatives by materials (`rfpp.raycast.traces`).
         """
         gbuffer = self.first_hit(scene, view, height, width, points)
         if not self._wants((*DIRECT_CHANNELS, "reflected_light")):

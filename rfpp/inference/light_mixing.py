@@ -8,8 +8,7 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
-from rfpp.inference.bounded_cache import BoundedCache
-from rfpp.inference.digest import digest_of
+from rfpp.inference.bounded_cache import BoundedCache, digest_of
 from rfpp.inference.renderer import Renderer
 from rfpp.scene.packed import PackedScene
 from rfpp.scene.triangles import EMISSION
@@ -21,12 +20,7 @@ _MAX_VIEWS = 16
 
 
 class LightMixer:
-    """Renders a view as usual until its lights change; then it renders each light once, and mixes their images.
-
-    Args:
-        renderer: Renderer of a model that is linear in lights.
-        max_bytes: Limit of the images in the cache.
-    """
+    """Renders a view as usual until its lights change; then it renders each light once, and mixes their images."""
 
     def __init__(self, renderer: Renderer, max_bytes: int = 1 << 28):
         self._renderer = renderer
@@ -37,10 +31,7 @@ class LightMixer:
     def image(self, scene: PackedScene, size: Size, **sampling: int) -> Image:
         """Return the linear radiance of a scene with one camera, equal to `Renderer.views` up to rounding.
 
-        Args:
-            scene: The scene.
-            size: (height, width) in pixels.
-            **sampling: Arguments of `Renderer.render` until the lights change; then its defaults apply.
+        `sampling` holds arguments of `Renderer.render`; they apply until the lights change, then its defaults do.
         """
         emission = _emission(scene)
         if emission is None:

@@ -12,8 +12,7 @@ from threadpoolctl import threadpool_limits
 from torch import Tensor
 
 from rfpp.batch import RaggedBatch
-from rfpp.inference.bounded_cache import BoundedCache
-from rfpp.inference.digest import digest_of
+from rfpp.inference.bounded_cache import BoundedCache, digest_of
 from rfpp.model.layers.scene_tokens import SceneTokens
 from rfpp.model.renderformer_pp import RenderFormerPP
 from rfpp.raycast.threads import cores

@@ -60,14 +60,7 @@ def image_size(resolution: int | tuple[int, int], patch_size: int) -> tuple[int,
 
 
 def require_memory(height: int, width: int, points: int, bytes_per_point: int = _BYTES_PER_POINT) -> None:
-    """Raise UserError, with the numbers, if an image needs more memory than there is.
-
-    Args:
-        height: Image height in pixels.
-        width: Image width in pixels.
-        points: Samples along each side of a pixel.
-        bytes_per_point: Memory of a sample.
-    """
+    """Raise UserError if an image with this number of samples along each side of a pixel exceeds the free memory."""
     needed, free = height * width * points**2 * bytes_per_point, psutil.virtual_memory().available
     if needed > free:
         side = math.isqrt(free // (points**2 * bytes_per_point)) // 64 * 64

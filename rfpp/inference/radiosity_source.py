@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from rfpp.inference.bounded_cache import BoundedCache
-from rfpp.inference.digest import digest_of
+from rfpp.inference.bounded_cache import BoundedCache, digest_of
 from rfpp.inference.gbuffers import GBufferSource, geometry_digest
 from rfpp.inference.plan import Plan
 from rfpp.radiosity.cell_finding import CellSources, cells_at

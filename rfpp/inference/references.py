@@ -19,10 +19,7 @@ Traced = tuple[Float[np.ndarray, "v h w 3"], float]
 def path_traced(scenes: Iterable[PackedScene], size: tuple[int, int], settings: CyclesSettings) -> Iterator[Traced]:
     """Yield for each scene, in order, the linear radiance seen by its cameras and the render time in seconds.
 
-    Args:
-        scenes: Scenes, read one at a time.
-        size: (height, width) in pixels.
-        settings: Settings of Cycles.
+    Scenes are read one at a time; `size` is (height, width) in pixels.
 
     Raises:
         MissingDependencyError: If Blender is missing.

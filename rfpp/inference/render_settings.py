@@ -91,13 +91,12 @@ class RenderSettings(Strict):
 
     def load(self, scene: Path) -> Scene | PackedScene:
         """Load one of the scenes."""
-        options = {name: getattr(self, name) for name in ("triangles", "up", "transparent", "backdrop")}
-        return load_scene(scene, **options)
+        return load_scene(scene, **self.model_dump(include={"triangles", "up", "transparent", "backdrop"}))
 
     @property
     def sampling(self) -> dict[str, int | None]:
         """Arguments of `Renderer.render` by name."""
-        return {name: getattr(self, name) for name in ("light_samples", "supersampling", "transports")}
+        return self.model_dump(include={"light_samples", "supersampling", "transports"})
 
     def single_camera(self) -> int:
         """Return the camera of an animation; the first by default. Raises UserError if there are several."""

@@ -25,11 +25,7 @@ _FLOAT32 = ("depth", "position")
 
 
 def write_still(image: Image, target: Path, tone_map: ToneMap, layers: Mapping[str, np.ndarray] | None = None) -> None:
-    """Write linear radiance and further layers as EXR, and a tone-mapped PNG beside it.
-
-    Raises:
-        UserError: If a file cannot be written.
-    """
+    """Write linear radiance and further layers as EXR, and a tone-mapped PNG beside it. Raises UserError."""
     write_exr(target, {"RGB": compact(image), **(layers or {})})
     save_picture(tone_map(image), target.with_suffix(".png"))
 
@@ -39,15 +35,7 @@ def write_comparison(
 ) -> float:
     """Write the reference as `write_still` does, and a sheet of images and errors; return the mean ꟻLIP.
 
-    Args:
-        image: Linear radiance.
-        reference: Linear radiance.
-        target: EXR file of the image, from which the names of the files are derived.
-        tone_map: Tone map of the pictures.
-        others: Heading → another image of the same view.
-
-    Raises:
-        UserError: If a file cannot be written.
+    File names are derived from `target`, the EXR file of the image; `others` are headings and images of the same view.
     """
     write_still(reference, target.with_name(f"{target.stem}_reference.exr"), tone_map)
     flip_map = flip(image, reference)
@@ -64,12 +52,7 @@ def write_comparison(
 
 
 def gbuffer_layers(stacked: Float[np.ndarray, "c h w"], names: Sequence[str]) -> Layers:
-    """Return G-buffer channels under conventional names: albedo.R, normal.X, depth.Z, roughness.Y (luminance), …
-
-    Args:
-        stacked: Result of `rfpp.raycast.first_hit.stack_channels`.
-        names: Names of the channels, in order.
-    """
+    """Return `stack_channels` under conventional names: albedo.R, normal.X, depth.Z, roughness.Y (luminance), …"""
     layers, planes = {}, iter(stacked)
     for name in names:
         vector, number = "RGB" if name in COLOR_CHANNELS else "XYZ", "Z" if name == "depth" else "Y"

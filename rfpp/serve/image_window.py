@@ -18,18 +18,11 @@ _MAX_OVERHEAD = 8.0
 
 @dataclass(frozen=True)
 class ImageWindow:
-    """A window in a centered image.
-
-    Attributes:
-        image_size: (height, width) of the image in pixels.
-        fov: Full angle of the image in degrees along its longer side.
-        corner: (row, column) of the window's upper left pixel.
-        size: (height, width) of the window in pixels.
-    """
+    """A window in a centered image; sizes are (height, width) in pixels."""
 
     image_size: tuple[int, int]
-    fov: float
-    corner: tuple[int, int]
+    fov: float  # full angle of the image in degrees along its longer side
+    corner: tuple[int, int]  # (row, column) of the window's upper left pixel
     size: tuple[int, int]
 
     @classmethod

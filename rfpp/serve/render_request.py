@@ -16,27 +16,17 @@ Row = tuple[Number, Number, Number, Number]
 
 
 class RenderRequest(Strict):
-    """View of a scene that was sent before.
-
-    Attributes:
-        scene: Name of the scene, as returned when it was sent.
-        camera_to_world: First three rows of the matrix, in the coordinates of the scene as sent, Z up.
-        window: Left, right, bottom and top of the picture in the plane at distance 1 in front of the camera.
-        size: (height, width) in pixels.
-        light_samples: See `Renderer.render`.
-        supersampling: See `Renderer.render`.
-        transparent: Whether alpha is 0 where no surface is visible; otherwise it is 1 everywhere.
-    """
+    """View of a scene that was sent before; samples as for `Renderer.render`."""
 
     noun = "picture"
 
-    scene: Annotated[str, Field(max_length=64)]
-    camera_to_world: tuple[Row, Row, Row]
-    window: tuple[Edge, Edge, Edge, Edge]
-    size: tuple[Side, Side]
+    scene: Annotated[str, Field(max_length=64)]  # name, as returned when it was sent
+    camera_to_world: tuple[Row, Row, Row]  # first three rows, in the coordinates of the scene as sent, Z up
+    window: tuple[Edge, Edge, Edge, Edge]  # left, right, bottom and top at distance 1 in front of the camera
+    size: tuple[Side, Side]  # (height, width) in pixels
     light_samples: Annotated[int, Field(ge=1, le=4096)]
     supersampling: Annotated[int, Field(ge=1, le=8)]
-    transparent: bool
+    transparent: bool  # alpha is 0 where no surface is visible; otherwise it is 1 everywhere
 
     @model_validator(mode="after")
     def _has_a_direction(self) -> RenderRequest:

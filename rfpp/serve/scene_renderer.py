@@ -31,19 +31,12 @@ class UnknownSceneError(UserError):
 
 @dataclass(frozen=True, eq=False)
 class ReceivedScene:
-    """A scene, ready to be rendered.
+    """A scene in the coordinates of training scenes; its cameras are not used."""
 
-    Attributes:
-        name: Digest of the file.
-        scene: Scene in the coordinates of training scenes; its cameras are not used.
-        framing: Transform from the coordinates of the file.
-        notes: Changes made to the scene, one line each.
-    """
-
-    name: str
+    name: str  # digest of the file
     scene: PackedScene
-    framing: Framing
-    notes: tuple[str, ...]
+    framing: Framing  # transform from the coordinates of the file
+    notes: tuple[str, ...]  # changes made to the scene, one line each
 
     @classmethod
     def read(cls, content: bytes) -> ReceivedScene:
@@ -56,8 +49,9 @@ class ReceivedScene:
             warnings.simplefilter("always")
             fit = fitted(received_glb(content, _SOURCE), _SOURCE, "opaque", "none")
             packed = pack(fit.scene)
-        messages = (str(warning.message) for warning in caught if warning.category is UserWarning)
-        return cls(_name(content), packed, fit.framing, tuple(m.removeprefix(f"{_SOURCE}: ") for m in messages))
+        messages = [str(w.message).removeprefix(f"{_SOURCE}: ") for w in caught if w.category is UserWarning]
+        notes = tuple(message for message in messages if "no camera" not in message)  # requests have one
+        return cls(_name(content), packed, fit.framing, notes)
 
 
 class SceneRenderer:

@@ -42,17 +42,10 @@ _MAX_DESCRIPTION, _MAX_CONNECTIONS, _PATIENCE = 1 << 16, 16, 30.0
 
 
 class Server:
-    """HTTP server in a thread of its own; use as a context manager.
+    """HTTP server in a thread of its own, with one renderer for one picture at a time; use as a context manager.
 
-    Args:
-        renderer: Renderer of all pictures, one at a time.
-        host: Address to listen on.
-        port: Port to listen on; 0 chooses a free one.
-        max_bytes: Limit of a scene.
-        log: Called with one line per picture.
-
-    Raises:
-        UserError: If the address is not one of this machine or is in use.
+    It listens on `host` and `port` (0 chooses a free one), accepts scenes of up to `max_bytes`, and logs a line per
+    picture. Raises UserError if the address is not one of this machine or is in use.
     """
 
     def __init__(
@@ -120,12 +113,9 @@ def _guarded(endpoint: Callable[[Request], Awaitable[Response]]) -> Callable[[Re
     async def respond(request: Request) -> Response:
         if reason := refusal(request.headers.get("Host"), request.headers.get("Origin")):
             raise HTTPException(403, reason)
-        version = request.headers.get(_HEADER)
-        if version is None:
-            raise HTTPException(403, f"the request lacks the header {_HEADER}: use the add-on")
-        if version != str(PROTOCOL):
-            versions = f"this server speaks version {PROTOCOL}, the add-on {one_line(version, 10)}"
-            raise HTTPException(426, f"{versions}: install the add-on that `rfpp addon` writes")
+        if (version := request.headers.get(_HEADER)) != str(PROTOCOL):
+            versions = f"the header {_HEADER} must be {PROTOCOL}, not {one_line(version or 'missing', 10)}"
+            raise HTTPException(403, f"{versions}: install the add-on that `rfpp addon` writes")
         return await endpoint(request)
 
     return respond

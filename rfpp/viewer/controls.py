@@ -30,8 +30,8 @@ from rfpp.viewer.viser_cameras import camera_of, move_to
 ToneMaps = Mapping[str, Callable[..., ToneMap]]
 Report = Callable[[str], None]
 
-_STRONGEST_LIGHT = 2.0  # relative to the strongest of the loaded scene
-_HANDLE_SIZE = 0.2  # world units
+#: Largest power of a light, relative to the strongest of the loaded scene.
+_STRONGEST_LIGHT = 2.0
 
 
 def add_view(
@@ -79,9 +79,7 @@ class ObjectControls:
             self._power = gui.add_slider("Light power", 0.0, brightest, step=brightest / 400, initial_value=0.0)
             self._tint = gui.add_rgb("Light color", (255, 255, 255))
             undo = gui.add_button("Undo all edits")
-        self._gizmo = client.scene.add_transform_controls(
-            "/object", scale=_HANDLE_SIZE, depth_test=False, visible=drag.value
-        )
+        self._gizmo = client.scene.add_transform_controls("/object", scale=0.2, depth_test=False, visible=False)
         self._name.on_update(lambda _: self._fill())
         for handle in (self._translation, self._rotation, self._scale):
             handle.on_update(lambda _: self._edit(self._moved))
@@ -89,7 +87,7 @@ class ObjectControls:
             handle.on_update(lambda _: self._edit(self._with_material))
         for handle in (self._power, self._tint):
             handle.on_update(lambda _: self._edit(self._with_light))
-        undo.on_click(lambda _: self._reset(scene))
+        undo.on_click(lambda _: (session.change(scene=scene), self._fill()))
         drag.on_update(lambda _: setattr(self._gizmo, "visible", drag.value))
         self._gizmo.on_update(lambda _: self._dragged())
         self._fill()
@@ -142,25 +140,20 @@ class ObjectControls:
             self._session.change(scene=edits.with_object(self._session.view.scene, moved))
 
     def _moved(self, item: SceneObject) -> SceneObject:
-        values = {"translation": self._translation, "rotation": self._rotation, "scale": self._scale}
-        return edits.with_transform(item, **{name: handle.value for name, handle in values.items()})
+        values = self._translation.value, self._rotation.value, self._scale.value
+        return edits.with_transform(item, **dict(zip(("translation", "rotation", "scale"), values, strict=True)))
 
     def _with_material(self, item: SceneObject) -> SceneObject:
         """Change only colors that differ from the picker's: it has eight bits."""
-        pickers = {"diffuse": self._diffuse, "specular": self._specular}
         changed = {
             name: edits.from_picker(picker.value)
-            for name, picker in pickers.items()
+            for name, picker in (("diffuse", self._diffuse), ("specular", self._specular))
             if picker.value != edits.to_picker(getattr(item.material, name))
         }
         return edits.with_material(item, **changed, roughness=self._roughness.value)
 
     def _with_light(self, item: SceneObject) -> SceneObject:
         return edits.with_light(item, self._power.value, edits.from_picker(self._tint.value))
-
-    def _reset(self, scene: Scene) -> None:
-        self._session.change(scene=scene)
-        self._fill()
 
 
 def add_reference(

@@ -19,13 +19,12 @@ def with_object(scene: Scene, edited: SceneObject) -> Scene:
 
 def with_transform(item: SceneObject, **transform: object) -> SceneObject:
     """Return the object with a changed transform. Raises SceneError for an invalid value."""
-    return SceneObject(**{**dict(item), "transform": Transform(**{**dict(item.transform), **transform})})
+    return _changed(item, transform=Transform(**{**dict(item.transform), **transform}))
 
 
 def with_material(item: SceneObject, **material: object) -> SceneObject:
     """Return the object with a changed material for all faces. Raises SceneError for an invalid value."""
-    changed = Material(**{**dict(item.material), **material})
-    return SceneObject(**{**dict(item), "material": changed, "face_material": None})
+    return _changed(item, material=Material(**{**dict(item.material), **material}), face_material=None)
 
 
 def with_light(item: SceneObject, power: float, tint: Vector) -> SceneObject:
@@ -63,3 +62,7 @@ def to_picker(color: Vector) -> tuple[int, int, int]:
 def from_picker(color: tuple[int, int, int]) -> Vector:
     """Convert the 8-bit sRGB of a color picker to a linear color."""
     return tuple(linear(torch.tensor(color, dtype=torch.float64) / 255).tolist())
+
+
+def _changed(item: SceneObject, **parts: object) -> SceneObject:
+    return SceneObject(**{name: getattr(item, name) for name in SceneObject.model_fields} | parts)

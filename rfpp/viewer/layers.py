@@ -37,12 +37,7 @@ class Layer(ABC):
 
 
 class Image(Layer):
-    """The rendered image.
-
-    Args:
-        renderer: Renderer of the image.
-        transports: Transport iterations; None for the usual number.
-    """
+    """The rendered image after some transport iterations, or the usual number."""
 
     def __init__(self, renderer: Renderer, transports: int | None = None):
         self._renderer, self._transports = renderer, transports

@@ -28,57 +28,35 @@ _REST = 0.2
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """Inputs of a picture.
-
-    Attributes:
-        scene: Scene with the visitor's edits; its cameras are not used.
-        camera: Camera of the visitor.
-        aspect: Width / height of the visitor's window.
-        layer: Layer of the picture.
-        tone_map: Tone map of the picture.
-        longer_side: Pixels at rest.
-        reference: Latest path-traced reference, shown if it is of this view.
-        share: Share of the picture beside the reference, from the left.
-    """
+    """Inputs of a picture: the scene with the visitor's edits, and the visitor's settings."""
 
     scene: Scene | PackedScene
     camera: Camera
-    aspect: float
+    aspect: float  # width / height of the window
     layer: Layer
     tone_map: ToneMap
-    longer_side: int
-    reference: Reference | None = None
-    share: float = 0.5
+    longer_side: int  # pixels at rest
+    reference: Reference | None = None  # shown if it is of this view
+    share: float = 0.5  # of the picture beside the reference, from the left
 
 
 @dataclass(frozen=True)
 class Drawn:
-    """A finished picture.
-
-    Attributes:
-        picture: 8-bit picture.
-        rendered: (height, width) of the rendered image.
-        seconds: Time from scene to picture.
-        is_compared: Whether the picture contains the reference.
-    """
+    """A finished picture, and the size of the rendered image in it."""
 
     picture: Picture
     rendered: tuple[int, int]
     seconds: float
-    is_compared: bool
+    is_compared: bool  # with the reference
 
 
 class Session:
     """Draws the newest view of one visitor: a small draft while it changes, in full once it rests.
 
-    Attributes:
-        view: Newest view.
-        newest: Newest picture; None before the first.
-
     Args:
-        renderer: Renderer of all visitors.
-        lock: Lock of the renderer, shared by all visitors.
-        view: First view.
+        renderer: Renderer, shared by all visitors.
+        lock: Lock of the renderer.
+        view: First view; the attribute `view` is the newest, `newest` its picture.
         report: Receives one line if a view cannot be drawn.
         moving_seconds: Target time of an image in motion.
     """
@@ -140,9 +118,7 @@ class Session:
     def _next(self, drawn: View | None, is_draft: bool) -> View | None:
         """Wait for a new view, or for a draft to rest; None when the session is closed."""
         with self._changed:
-            self._changed.wait_for(
-                lambda: self._is_closed or self.view is not drawn, timeout=_REST if is_draft else None
-            )
+            self._changed.wait_for(lambda: self._is_closed or self.view is not drawn, _REST if is_draft else None)
             return None if self._is_closed else self.view
 
     def _pack(self, view: View) -> PackedScene:

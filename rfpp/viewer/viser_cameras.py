@@ -16,12 +16,11 @@ def cameras_of(scene: Scene | PackedScene) -> tuple[Camera, ...]:
     """Return a scene's cameras; those of a packed scene look at a point in front of them."""
     if isinstance(scene, Scene):
         return scene.cameras
-    return tuple(_camera(*pose) for pose in zip(scene.c2w.astype(float), scene.fov.tolist(), strict=True))
-
-
-def _camera(c2w: np.ndarray, fov: float) -> Camera:
-    position, backward, up = c2w[:3, 3], c2w[:3, 2], c2w[:3, 1]
-    return Camera(position=tuple(position), look_at=tuple(position - backward), up=tuple(up), fov=fov)
+    poses = zip(scene.c2w[:, :3].astype(float), scene.fov.tolist(), strict=True)
+    return tuple(
+        Camera(position=tuple(c2w[:, 3]), look_at=tuple(c2w[:, 3] - c2w[:, 2]), up=tuple(c2w[:, 1]), fov=fov)
+        for c2w, fov in poses
+    )
 
 
 def aspect_of(client: viser.ClientHandle) -> float:

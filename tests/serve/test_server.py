@@ -133,19 +133,19 @@ def test_an_invalid_scene_is_one_line(served, content, why):
 
 
 @pytest.mark.parametrize(
-    ("headers", "status"),
+    "headers",
     [
-        ({"Host": "rebound.example"}, 403),
-        ({"Origin": "http://page.example"}, 403),
-        ({"Origin": "null"}, 403),
-        ({"Rfpp_Protocol": None}, 403),
-        ({"Rfpp_Protocol": "2"}, 426),
+        {"Host": "rebound.example"},
+        {"Origin": "http://page.example"},
+        {"Origin": "null"},
+        {"Rfpp_Protocol": None},
+        {"Rfpp_Protocol": "2"},
     ],
 )
-def test_web_pages_and_other_versions_are_refused(served, headers, status):
+def test_web_pages_and_other_versions_are_refused(served, headers):
     for path, body in (("/scenes", scene().glb()), ("/pictures", b"{}")):
-        answer = ask(served, path, body, **headers)
-        assert answer[0] == status and json.loads(answer[1])["error"]
+        status, content = ask(served, path, body, **headers)
+        assert status == 403 and json.loads(content)["error"]
 
 
 def test_unknown_paths_do_not_exist(served):

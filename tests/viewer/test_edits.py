@@ -38,7 +38,8 @@ def test_an_edit_changes_one_object():
 
 def test_a_new_color_applies_to_all_faces():
     peak = item("peak_0")
-    painted = SceneObject(**{**dict(peak), "face_material": np.random.default_rng(0).random((len(peak.mesh), 10))})
+    rows = np.random.default_rng(0).random((len(peak.mesh), 10))
+    painted = SceneObject(name="peak_0", mesh=peak.mesh, material=peak.material, face_material=rows)
     red = with_material(painted, diffuse=(0.7, 0.0, 0.0))
     assert red.face_material is None
     assert red.material.diffuse == (0.7, 0.0, 0.0) and red.material.specular == peak.material.specular

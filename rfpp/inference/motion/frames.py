@@ -28,15 +28,10 @@ class Motion(Strict):
 
     @abstractmethod
     def frames_of(self, scene: Path, camera: int, load: Load = load_scene) -> Frames:
-        """Return the frames, which share triangles with their neighbors where only the camera moves.
+        """Return the frames of a scene file; neighbors between which only the camera moves share their triangles.
 
-        Args:
-            scene: Scene file, unless the class says otherwise.
-            camera: Number of the scene's camera to use or to start from.
-            load: Function that reads a scene file.
-
-        Raises:
-            UserError: If the scene or a file that describes the motion is invalid; names the file.
+        `camera` is the number of the camera to use or to start from, `load` reads a scene file. Raises UserError naming
+        an invalid file.
         """
 
 

@@ -105,7 +105,9 @@ class Keyframes(Motion):
     def frames_of(self, scene: Path, camera: int, load: Load = load_scene) -> Frames:
         with _located(str(self.file)):
             keys = _KeyframeFile(**_parse(read_bytes(self.file, _MAX_BYTES)))
-            view = _CameraTrack(keys.camera) if keys.camera else None
+            view = _curves(keys.camera) if keys.camera else {}
+            for key in keys.camera or ():
+                _camera_at(view, key.time)  # checks it
         still = load(scene)
         if keys.objects and not isinstance(still, Scene):
             raise SceneError(f"{scene}: holds triangles but no objects to move: use a format other than H5")
@@ -124,20 +126,10 @@ class Keyframes(Motion):
                 latest.clear()
                 latest[state] = SceneTriangles.from_scene(still.model_copy(update={"objects": objects}))
             with _located(f"{self.file}: camera, time {time:g}"):
-                c2w, fov = poses([view.at(time)]) if view else (packed.c2w, packed.fov)
+                c2w, fov = poses([_camera_at(view, time)]) if view else (packed.c2w, packed.fov)
             return PackedScene(packed.name, latest[state], c2w, fov, None if tracks else packed.texture)
 
         return Frames(int((last - first) * self.fps + 1e-6) + 1, create)
-
-
-class _CameraTrack:
-    def __init__(self, keys: Sequence[_CameraKey]):
-        self._curves = _curves(keys)
-        for key in keys:  # its constraints
-            self.at(key.time)
-
-    def at(self, time: float | int) -> Camera:
-        return Camera(**{name: curve(time).tolist() for name, curve in self._curves.items()})
 
 
 @dataclass(frozen=True)
@@ -155,6 +147,10 @@ class _ObjectTrack:
         if "material" in parts:
             parts["face_material"] = None
         return self.item.model_copy(update=parts)
+
+
+def _camera_at(curves: Mapping[str, Curve], time: float | int) -> Camera:
+    return Camera(**{name: curve(time).tolist() for name, curve in curves.items()})
 
 
 def _tracks(objects: Mapping[str, Sequence[_ObjectKey]], scene: Scene | PackedScene) -> dict[str, _ObjectTrack]:

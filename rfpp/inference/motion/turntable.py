@@ -15,7 +15,6 @@ from pydantic import Field
 from rfpp.inference.motion.frames import Frames, Load, Motion, with_cameras
 from rfpp.scene.io.loading import load_scene
 from rfpp.scene.packed import PackedScene
-from rfpp.scene.triangles import SceneTriangles
 
 
 class _Orbit(Motion):
@@ -27,9 +26,17 @@ class _Orbit(Motion):
     def _angle(self, share: float) -> float:
         """Return the angle in radians, counter-clockwise from above, after a share of the animation."""
 
+    @property
+    def name(self) -> str:
+        return type(self).__name__.lower()
+
     def frames_of(self, scene: Path, camera: int, load: Load = load_scene) -> Frames:
         start = with_cameras(load(scene), scene, [camera])
-        center = _center(start.triangles)
+        triangles = start.triangles
+        # lights are invisible and may be far away
+        is_visible = ~triangles.is_emissive if not triangles.is_emissive.all() else slice(None)
+        corners = triangles.positions[is_visible].reshape(-1, 3)
+        center = (corners.min(axis=0) + corners.max(axis=0)).astype(np.float64) / 2
 
         def create(number: int) -> PackedScene:
             turn = _rotation(self._angle(number / self.frames), center)
@@ -39,43 +46,19 @@ class _Orbit(Motion):
 
 
 class Turntable(_Orbit):
-    """Once around the scene at constant speed.
-
-    Attributes:
-        frames: Number of frames.
-    """
-
-    @property
-    def name(self) -> str:
-        return "turntable"
+    """Once around the scene at constant speed, in a number of frames."""
 
     def _angle(self, share: float) -> float:
         return 2 * math.pi * share
 
 
 class Swing(_Orbit):
-    """To both sides and back, for scenes with walls behind them.
-
-    Attributes:
-        frames: Number of frames.
-        degrees: Angle between both sides.
-    """
+    """To both sides, `degrees` apart, and back, in a number of frames; for scenes with walls behind them."""
 
     degrees: Annotated[float, Field(gt=0, le=360)]
 
-    @property
-    def name(self) -> str:
-        return "swing"
-
     def _angle(self, share: float) -> float:
         return math.radians(self.degrees) / 2 * math.sin(2 * math.pi * share)
-
-
-def _center(triangles: SceneTriangles) -> Float[np.ndarray, " 3"]:
-    """Return the center of the visible surfaces' bounding box; lights are invisible and may be far away."""
-    visible = triangles.positions[~triangles.is_emissive].reshape(-1, 3)
-    corners = visible if len(visible) else triangles.positions.reshape(-1, 3)
-    return (corners.min(axis=0) + corners.max(axis=0)).astype(np.float64) / 2
 
 
 def _rotation(angle: float, point: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "4 4"]:

@@ -47,36 +47,27 @@ class Connection:
     """Requests in order; `cancel` may be called from another thread."""
 
     def __init__(self, host: str, port: int) -> None:
-        self._url, self._http = f"http://{host}:{port}", http.client.HTTPConnection(host, port, timeout=_CONNECT)
+        self._url, self.http = f"http://{host}:{port}", http.client.HTTPConnection(host, port, timeout=_CONNECT)
         self._cancelled = False
 
     def cancel(self) -> None:
         """Make the current request and all later ones raise Cancelled."""
         self._cancelled = True
-        if (sock := self._http.sock) is not None:
+        if (sock := self.http.sock) is not None:
             with contextlib.suppress(OSError):  # closed already
                 sock.shutdown(socket.SHUT_RDWR)
 
-    def close(self) -> None:
-        """Close the connection."""
-        self._http.close()
-
     def post(self, path: str, body: bytes) -> bytes:
-        """Return the response to a request.
-
-        Raises:
-            ServerError: If it is an error, or if there is no server.
-            Cancelled: After `cancel`.
-        """
+        """Return the response. Raises ServerError if it is an error or there is no server, Cancelled after `cancel`."""
         try:
-            if self._http.sock is None:
-                self._http.connect()
-            self._http.sock.settimeout(None)  # pictures take a while
+            if self.http.sock is None:
+                self.http.connect()
+            self.http.sock.settimeout(None)  # pictures take a while
             if self._cancelled:
                 raise Cancelled
             headers = {"Rfpp-Protocol": PROTOCOL, "Content-Type": "application/octet-stream"}
-            self._http.request("POST", path, body, headers)
-            response = self._http.getresponse()
+            self.http.request("POST", path, body, headers)
+            response = self.http.getresponse()
             content = response.read()
         except (OSError, http.client.HTTPException) as error:
             if self._cancelled:
@@ -94,14 +85,7 @@ class Connection:
 
 
 class Server:
-    """A server.
-
-    Args:
-        address: URL on this machine, such as http://127.0.0.1:8700.
-
-    Raises:
-        ServerError: If it is another address.
-    """
+    """A server at an address such as http://127.0.0.1:8700. Raises ServerError if it is not on this machine."""
 
     def __init__(self, address: str) -> None:
         try:
@@ -120,19 +104,14 @@ class Server:
         return Connection(self._host, self._port)
 
     def picture(self, scene: bytes, view: View, connection: Connection | None = None) -> np.ndarray:
-        """Return float32 radiance and alpha [h, w, 4], row 0 at the top.
+        """Return float32 radiance and alpha [h, w, 4] of a GLB file, row 0 at the top; raises as `Connection.post`.
 
-        Args:
-            scene: GLB file, sent if the server does not have it.
-            view: View of the scene.
-            connection: Connection to use, which allows another thread to cancel; it is closed.
-
-        Raises:
-            ServerError, Cancelled: See `Connection.post`.
+        The file is sent if the server does not have it. Another thread may cancel the connection, which is closed.
         """
         name = _name(scene)
         request = json.dumps({"scene": name, **asdict(view)}).encode()
-        with contextlib.closing(connection or self.connect()) as connection:
+        connection = connection or self.connect()
+        with contextlib.closing(connection.http):
             content = None
             if name in self._notes:
                 with contextlib.suppress(UnknownSceneError):

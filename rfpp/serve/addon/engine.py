@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import time
+from concurrent.futures import ThreadPoolExecutor
 
 import bpy
 import numpy as np
 
-from .client import Server, ServerError, View
-from .jobs import Job
+from .client import Cancelled, Server, ServerError, View
 from .scene_export import exported
 from .settings_panels import ENGINE, address
 from .viewport import Viewport
@@ -45,7 +45,7 @@ class RfppEngine(bpy.types.RenderEngine):
             pose = rows_of(camera.matrix_world.normalized())  # Blender ignores a camera's scale
             sampling = settings.light_samples, settings.supersampling
             view = View(pose, window, (height, width), *sampling, scene.render.film_transparent)
-            picture = self._finished(Job(server, content, view))
+            picture = self._rendered(server, content, view)
         except (NoView, ServerError) as error:
             self.report({"ERROR"}, str(error))
             return
@@ -73,17 +73,20 @@ class RfppEngine(bpy.types.RenderEngine):
             box = (x, y, max(right - x, 1), max(top - y, 1))
         return box, part_of(window, size, box)
 
-    def _finished(self, job: Job) -> np.ndarray | None:
+    def _rendered(self, server: Server, content: bytes, view: View) -> np.ndarray | None:
         """Return the picture, or None if the user cancels. Raises ServerError."""
-        begin = time.monotonic()
-        while not job.wait(_INTERVAL):
-            if self.test_break():
-                job.cancel()
-                return None
-            self.update_stats("", f"rfpp: rendering for {time.monotonic() - begin:.0f} s")
-        if job.error:
-            raise ServerError(job.error)
-        return job.picture
+        begin, connection = time.monotonic(), server.connect()
+        with ThreadPoolExecutor(1) as executor:
+            future = executor.submit(server.picture, content, view, connection)
+            while True:
+                try:
+                    return future.result(_INTERVAL)
+                except TimeoutError:
+                    self.update_stats("", f"rfpp: rendering for {time.monotonic() - begin:.0f} s")
+                except Cancelled:
+                    return None
+                if self.test_break():
+                    connection.cancel()
 
     def view_update(self, context, depsgraph) -> None:
         """Export the scene for the viewport after a change."""

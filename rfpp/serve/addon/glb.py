@@ -54,13 +54,7 @@ class Glb:
         return {"KHR_lights_punctual": {"light": len(self._lights) - 1}}
 
     def node(self, name: str, matrix: np.ndarray, **values: object) -> None:
-        """Add a node to the scene.
-
-        Args:
-            name: Name of the node.
-            matrix: [4, 4] to Blender's world.
-            **values: Mesh, camera or extensions.
-        """
+        """Add a node with its matrix [4, 4] to Blender's world, and a mesh, a camera or extensions."""
         columns = np.asarray(matrix, np.float64).T.reshape(-1).tolist()
         self.add("nodes", {"name": name, "matrix": columns, **values})
 

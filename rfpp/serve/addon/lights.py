@@ -7,8 +7,7 @@ import math
 import numpy as np
 
 from .glb import Glb
-from .materials import Warnings, diffuse, emission
-from .nodes import constant, surface_of, tree_of
+from .materials import Warnings, constant, diffuse, emission, surface_of, tree_of
 
 #: Lumens per watt in candela and lux, as in Blender's exporter.
 _LUMENS_PER_WATT = 683.0

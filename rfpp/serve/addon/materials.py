@@ -7,7 +7,6 @@ from collections import defaultdict
 import numpy as np
 
 from .glb import Glb, png
-from .nodes import constant, source, surface_of, tree_of
 
 #: Kind of deviation from Blender → names of the objects, lights or materials.
 Warnings = defaultdict[str, list[str]]
@@ -25,13 +24,7 @@ _IGNORED = {
 
 
 class Materials:
-    """Materials of one scene.
-
-    Args:
-        glb: File to write to.
-        warnings: Receives deviations.
-        pngs: Image name → PNG file, a cache for later scenes.
-    """
+    """Materials of one scene; `pngs` (image name → PNG file) is a cache for later scenes."""
 
     def __init__(self, glb: Glb, warnings: Warnings, pngs: dict[str, bytes]) -> None:
         self._glb, self._warnings, self._pngs = glb, warnings, pngs
@@ -156,3 +149,33 @@ def emission(entry: dict, color, strength: float) -> dict:
     brightest = max(1.0, *radiance)
     extensions = entry["extensions"] | {"KHR_materials_emissive_strength": {"emissiveStrength": brightest}}
     return entry | {"emissiveFactor": [value / brightest for value in radiance], "extensions": extensions}
+
+
+def tree_of(owner):
+    """Return the node tree of a material, light or world; None if it uses its own settings."""
+    return owner.node_tree if getattr(owner, "use_nodes", True) else None  # Blender 6 always uses nodes
+
+
+def surface_of(owner):
+    """Return the node connected to the surface output, or None."""
+    tree = tree_of(owner)
+    output = None if tree is None else tree.get_output_node("ALL") or tree.get_output_node("CYCLES")
+    return None if output is None else source(output.inputs["Surface"])
+
+
+def source(socket):
+    """Return the node that feeds an input, past reroutes; None if the input has its own value."""
+    while socket.is_linked and socket.links:
+        node = socket.links[0].from_node
+        if node.type != "REROUTE":
+            return node
+        socket = node.inputs[0]
+    return None
+
+
+def constant(socket):
+    """Return the value of an input; None if a node computes it."""
+    node = source(socket)
+    if node is None:
+        return socket.default_value
+    return node.outputs[0].default_value if node.type in ("VALUE", "RGB") else None

@@ -8,9 +8,7 @@ import numpy as np
 
 from .glb import Glb
 from .lights import add_light
-from .materials import Materials, Warnings
-from .nodes import constant, surface_of, tree_of
-from .windows import NoView, camera_window, gltf_camera, is_finite
+from .materials import Materials, Warnings, constant, surface_of, tree_of
 
 #: Types of objects with surfaces, of objects that nothing shows, and of unsupported ones.
 _SURFACES = {"MESH", "CURVE", "SURFACE", "FONT", "META"}
@@ -21,12 +19,7 @@ _NAMES = 4
 
 
 def exported(depsgraph, pngs: dict[str, bytes]) -> tuple[bytes, list[str]]:
-    """Return a depsgraph as a GLB file, and warnings about what is missing or different in it.
-
-    Args:
-        depsgraph: The evaluated scene.
-        pngs: See `Materials`.
-    """
+    """Return a depsgraph as a GLB file, and warnings about its deviations; `pngs` as for `Materials`."""
     glb, warnings = Glb(), defaultdict(list)
     meshes = _Meshes(glb, Materials(glb, warnings, pngs), warnings)
     for instance in depsgraph.object_instances:
@@ -35,7 +28,7 @@ def exported(depsgraph, pngs: dict[str, bytes]) -> tuple[bytes, list[str]]:
             warnings["Hair is omitted"].append(item.name)
         if not instance.show_self:
             continue
-        if not is_finite(matrix):
+        if not (np.abs(matrix) < 1e15).all():
             warnings["Objects without a finite position are omitted"].append(item.name)
         elif item.type == "LIGHT":
             add_light(glb, item.data, item.name, matrix, warnings)
@@ -44,28 +37,12 @@ def exported(depsgraph, pngs: dict[str, bytes]) -> tuple[bytes, list[str]]:
                 glb.node(item.name, matrix, mesh=mesh)
         elif item.type not in _INVISIBLE:
             warnings[_UNSUPPORTED.get(item.type, f"{item.type} is omitted")].append(item.name)
-    _add_camera(glb, depsgraph)
     _warn_of_settings(depsgraph.scene, warnings)
-    return glb.content(), [_line(kind, list(dict.fromkeys(names))) for kind, names in warnings.items()]
+    return glb.content(), [f"{kind}: {_listed(list(dict.fromkeys(names)))}" for kind, names in warnings.items()]
 
 
-def _line(kind: str, names: list[str]) -> str:
-    more = f" and {len(names) - _NAMES} more" if len(names) > _NAMES else ""
-    return f"{kind}: {', '.join(names[:_NAMES])}{more}"
-
-
-def _add_camera(glb: Glb, depsgraph) -> None:
-    """Add the scene's camera, around which the server places lights in a dark scene."""
-    scene = depsgraph.scene_eval
-    if scene.camera is None:
-        return
-    camera = scene.camera.evaluated_get(depsgraph)
-    try:
-        window = camera_window(camera, depsgraph, (scene.render.resolution_y, scene.render.resolution_x))
-    except NoView:
-        return
-    matrix = np.array(camera.matrix_world.normalized(), np.float64)
-    glb.node(camera.name, matrix, camera=glb.add("cameras", gltf_camera(window)))
+def _listed(names: list[str]) -> str:
+    return ", ".join(names[:_NAMES]) + (f" and {len(names) - _NAMES} more" if len(names) > _NAMES else "")
 
 
 def _warn_of_settings(scene, warnings: Warnings) -> None:

@@ -6,7 +6,7 @@ import bpy
 import numpy as np
 
 from .client import Server, ServerError, View
-from .jobs import Newest
+from .newest_view import Newest
 from .scene_export import exported
 from .settings_panels import address
 from .windows import rows_of, shrunk, square_pixels, window_of

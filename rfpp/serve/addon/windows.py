@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
-import numpy as np
-
 Window = tuple[float, float, float, float]
 
 
@@ -27,11 +23,7 @@ def window_of(projection) -> Window:
 
 
 def camera_window(camera, depsgraph, size: tuple[int, int]) -> Window:
-    """Return the window of a camera object for pictures of (height, width).
-
-    Raises:
-        NoView: If it is not a perspective camera.
-    """
+    """Return the window of a camera for pictures of (height, width). Raises NoView if it has no perspective."""
     if camera.data.type != "PERSP":
         raise NoView(f"Camera '{camera.name}' has no perspective: change its Lens Type to Perspective")
     return window_of(camera.calc_matrix_camera(depsgraph, x=size[1], y=size[0]))
@@ -58,15 +50,3 @@ def shrunk(size: tuple[int, int], longer_side: int) -> tuple[int, int]:
     factor = min(1.0, longer_side / max(size))
     height, width = (max(1, round(side * factor)) for side in size)
     return height, width
-
-
-def gltf_camera(window: Window) -> dict:
-    """Return a camera of glTF, without lens shift."""
-    left, right, bottom, top = window
-    yfov, aspect = 2 * math.atan((top - bottom) / 2), (right - left) / (top - bottom)
-    return {"type": "perspective", "perspective": {"yfov": yfov, "aspectRatio": aspect, "znear": 0.01}}
-
-
-def is_finite(matrix: np.ndarray) -> bool:
-    """Return whether an object's matrix is usable."""
-    return bool((np.abs(matrix) < 1e15).all())

@@ -1,6 +1,7 @@
-"""The add-on's client and jobs, with a real server of a small network."""
+"""The add-on's client, with a real server of a small network."""
 
 import threading
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from serving import VIEW, scene, server
 
 from rfpp.inference.renderer import Renderer
 
-client, jobs, windows = addon("client"), addon("jobs"), addon("windows")
+client, newest_view, windows = addon("client"), addon("newest_view"), addon("windows")
 SMALL_VIEW = client.View(tuple(map(tuple, VIEW["camera_to_world"])), tuple(VIEW["window"]), (24, 32), 2, 1)
 NOWHERE = "http://127.0.0.1:9"  # the discard port, on which nothing listens
 
@@ -75,23 +76,31 @@ def test_addresses_of_other_machines_are_refused(address):
         client.Server(address)
 
 
-def test_a_job_is_cancelled_while_the_server_renders():
+def test_a_picture_is_cancelled_while_the_server_renders():
     renderer = Gated()
     with server(renderer) as served:
-        job = jobs.Job(client.Server(served.url), scene().glb(), SMALL_VIEW)
-        assert renderer.begun.acquire(timeout=60)
-        assert not job.wait(0.0)
-        job.cancel()
-        assert job.wait(0.0) and job.picture is None and job.error == ""
-        renderer.allowed.release(2)
-        other = jobs.Job(client.Server(served.url), scene().glb(), SMALL_VIEW)
-        assert other.wait(60) and other.picture is not None
+        used, connections = client.Server(served.url), []
+        with ThreadPoolExecutor(1) as executor:
+            for _ in range(2):
+                connections.append(used.connect())
+                future = executor.submit(used.picture, scene().glb(), SMALL_VIEW, connections[-1])
+                assert renderer.begun.acquire(timeout=60)
+                connections[-1].cancel()
+                with pytest.raises(client.Cancelled):
+                    future.result(timeout=60)
+                renderer.allowed.release()
+        early = used.connect()
+        early.cancel()
+        with pytest.raises(client.Cancelled):
+            used.picture(scene().glb(), SMALL_VIEW, early)
+        renderer.allowed.release()
+        assert used.picture(scene().glb(), SMALL_VIEW).shape == (24, 32, 4)
 
 
 def test_a_changing_view_is_small_and_outdated_views_are_skipped():
     renderer, view = Gated(), client.View(SMALL_VIEW.camera_to_world, SMALL_VIEW.window, (192, 256), 2, 1)
     with server(renderer) as served:
-        newest, glb = jobs.Newest(client.Server(served.url)), scene().glb()
+        newest, glb = newest_view.Newest(client.Server(served.url)), scene().glb()
         newest.want(glb, view)
         assert renderer.begun.acquire(timeout=60)
         for x in (0.1, 0.2, 0.3):  # meanwhile
@@ -109,13 +118,13 @@ def test_small_pictures_of_any_shape_have_square_pixels():
     """64 × 42 pixels of a window for 256 × 170: the server refuses pixels that are not square."""
     window = windows.square_pixels((-0.72, 0.72, -0.47, 0.47), (170, 256))
     with server() as served:
-        newest = jobs.Newest(client.Server(served.url))
+        newest = newest_view.Newest(client.Server(served.url))
         newest.want(scene().glb(), client.View(SMALL_VIEW.camera_to_world, window, (170, 256), 2, 1))
         assert finished(newest).error == "" and newest.picture.shape == (170, 256, 4)
 
 
 def test_a_viewport_without_a_server_retries_after_the_next_change():
-    newest = jobs.Newest(client.Server(NOWHERE))
+    newest = newest_view.Newest(client.Server(NOWHERE))
     newest.want(b"scene", SMALL_VIEW)
     assert "No server" in finished(newest).error and newest.picture is None
     with server() as served:

@@ -16,8 +16,9 @@ from rfpp import Renderer
 from rfpp.imaging.exr import read_exr
 from rfpp.reference.cycles import CyclesSettings, render
 from rfpp.scene.io.loading import load_scene
-from rfpp.scene.packed import pack
+from rfpp.scene.spec import Camera
 from rfpp.serve.extension import write_extension
+from rfpp.serve.scene_renderer import ReceivedScene
 
 pytestmark = requires_blender
 
@@ -142,9 +143,9 @@ def test_pictures_are_as_bright_as_in_cycles(server, blender, tmp_path):
 def test_an_area_light_is_as_bright_as_in_cycles(shape, blender, in_process, tmp_path):
     blender(NOWHERE, "area_in_cycles", shape, tmp_path / "a.exr", tmp_path / "a.glb")
     expected = radiance(tmp_path / "a.exr")[..., :3]
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        scene = pack(load_scene(tmp_path / "a.glb"))
+    received = ReceivedScene.read((tmp_path / "a.glb").read_bytes())
+    camera = Camera(position=(0, 0, 5), look_at=(0, 0, 0), up=(0, 1, 0), fov=45)
+    scene = received.scene.seen_by([received.framing.camera(camera)])
     settings = CyclesSettings(
         samples=256, adaptive_threshold=0.0, denoise=False, max_bounces=0, diffuse_bounces=0, glossy_bounces=0,
         clamp_direct=0.0, clamp_indirect=0.0, caustics=False, blur_glossy=0.0, light_threshold=0.0, filter_width=1.5,

@@ -1,4 +1,4 @@
-"""Pictures rendered in threads, while Blender stays responsive."""
+"""Pictures of a changing view, requested in a thread."""
 
 from __future__ import annotations
 
@@ -8,61 +8,20 @@ from dataclasses import replace
 
 import numpy as np
 
-from .client import Cancelled, Server, ServerError, View
+from .client import Server, ServerError, View
 from .windows import shrunk, square_pixels
 
 #: Pixels along the longer side of the smallest picture, and seconds per picture while the view changes.
 _SMALLEST, _SECONDS = 64, 0.25
 
 
-class Job:
-    """A picture, started at once in a thread of its own.
-
-    Attributes:
-        picture: [h, w, 4] when it is finished.
-        error: Reason for its failure, one line.
-    """
-
-    def __init__(self, server: Server, scene: bytes, view: View) -> None:
-        self.picture: np.ndarray | None = None
-        self.error = ""
-        self._connection = server.connect()
-        self._thread = threading.Thread(target=self._run, args=(server, scene, view), name="rfpp picture", daemon=True)
-        self._thread.start()
-
-    def wait(self, seconds: float) -> bool:
-        """Return whether it ends within these seconds."""
-        self._thread.join(seconds)
-        return not self._thread.is_alive()
-
-    def cancel(self) -> None:
-        """Cancel the request, and return when the thread has ended."""
-        while self._thread.is_alive():
-            self._connection.cancel()
-            self._thread.join(0.05)
-
-    def _run(self, server: Server, scene: bytes, view: View) -> None:
-        try:
-            self.picture = server.picture(scene, view, self._connection)
-        except Cancelled:
-            pass
-        except ServerError as error:
-            self.error = str(error)
-
-
 class Newest:
-    """Pictures of a changing view: small while it changes, in full once it rests. Outdated views are skipped.
-
-    Attributes:
-        server: Server of the pictures.
-        picture: Newest picture [h, w, 4].
-        error: Reason for a missing newer picture, one line.
-    """
+    """Pictures of a changing view: small while it changes, in full once it rests. Outdated views are skipped."""
 
     def __init__(self, server: Server) -> None:
         self.server = server
-        self.picture: np.ndarray | None = None
-        self.error = ""
+        self.picture: np.ndarray | None = None  # the newest
+        self.error = ""  # reason for a missing newer picture
         self._wanted: tuple[bytes, View] | None = None
         self._lock, self._thread = threading.Lock(), None
         self._seconds_per_pixel: float | None = None
