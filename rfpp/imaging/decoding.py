@@ -18,14 +18,9 @@ _CLIPPED = 254
 
 
 def read_radiance(path: Path, stops: float | int = 0.0) -> tuple[Float[np.ndarray, "h w 3"], Bool[np.ndarray, "h w"]]:
-    """Return the linear radiance of a picture, and a mask of pixels that are finite and not clipped.
+    """Return the linear radiance of an EXR, PNG or JPEG file, and a mask of pixels that are finite and not clipped.
 
-    Args:
-        path: EXR, PNG or JPEG file.
-        stops: Exposure of an 8-bit picture.
-
-    Raises:
-        UserError: If the file is missing or not such a picture; names the file.
+    8-bit pictures were exposed by `stops`. Raises UserError if the file is missing or not such a picture.
     """
     if path.suffix.lower() == ".exr":
         layers = read_exr(path)

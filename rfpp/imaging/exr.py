@@ -26,11 +26,7 @@ class ImageFileError(UserError):
 
 
 def encode_exr(layers: Mapping[str, np.ndarray], attributes: Mapping[str, str] | None = None) -> bytes:
-    """Return an OpenEXR file with these layers, and text attributes in its header.
-
-    Raises:
-        ValueError: If there is no layer, sizes differ, or the format cannot store a shape or type.
-    """
+    """Return an OpenEXR file with layers of one size and text attributes. Raises ValueError if it cannot store them."""
     if len({np.shape(layer)[:2] for layer in layers.values()}) != 1:
         raise ValueError(f"layers must share one height and width, got { {n: np.shape(a) for n, a in layers.items()} }")
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage, **(attributes or {})}

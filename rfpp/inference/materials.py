@@ -21,17 +21,11 @@ _COLUMNS = {"diffuse": DIFFUSE, "specular": SPECULAR, "roughness": ROUGHNESS, "e
 
 @dataclass(frozen=True)
 class MaterialTensors:
-    """A scene with materials that are tensors.
-
-    Attributes:
-        scene: Scene with their values.
-        material: [M, 10] as in `SceneTriangles`, on a device; roughness is detached.
-        given: Property → object → tensor, for tensors that require a gradient.
-    """
+    """A scene with the values of materials that are tensors."""
 
     scene: PackedScene
-    material: Float[Tensor, "m 10"]
-    given: Mapping[str, Mapping[str, Tensor]]
+    material: Float[Tensor, "m 10"]  # as in `SceneTriangles`, on a device; roughness is detached
+    given: Mapping[str, Mapping[str, Tensor]]  # property → object → tensor that requires a gradient
 
     @classmethod
     def of(cls, scene: PackedScene, materials: Materials, device: torch.device) -> MaterialTensors:

@@ -33,12 +33,7 @@ class Plan:
     transports: int | None = None
 
     def __post_init__(self) -> None:
-        """Check the settings.
-
-        Raises:
-            SceneError: If the scene has no camera.
-            UserError: If there are no samples, or the image takes more memory than there is.
-        """
+        """Raise UserError if there is no camera or sample, or the image takes more memory than there is."""
         if not len(self.scene.fov):
             raise SceneError(f"scene '{self.scene.name}' has no camera: add one to its `cameras`")
         if min(self.light_samples, self.points) < 1:
@@ -48,11 +43,7 @@ class Plan:
 
 
 def image_size(resolution: int | tuple[int, int], patch_size: int) -> tuple[int, int]:
-    """Return (height, width) of a resolution.
-
-    Raises:
-        UserError: If it does not divide into patches.
-    """
+    """Return (height, width) of a resolution. Raises UserError if it does not divide into patches."""
     height, width = (resolution, resolution) if isinstance(resolution, int) else resolution
     if min(height, width) < 1 or height % patch_size or width % patch_size:
         raise UserError(f"resolution {width} x {height} does not divide into patches of {patch_size}: use multiples")

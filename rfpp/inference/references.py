@@ -19,11 +19,8 @@ Traced = tuple[Float[np.ndarray, "v h w 3"], float]
 def path_traced(scenes: Iterable[PackedScene], size: tuple[int, int], settings: CyclesSettings) -> Iterator[Traced]:
     """Yield for each scene, in order, the linear radiance seen by its cameras and the render time in seconds.
 
-    Scenes are read one at a time; `size` is (height, width) in pixels.
-
-    Raises:
-        MissingDependencyError: If Blender is missing.
-        UserError: If it cannot render a scene.
+    Scenes are read one at a time; `size` is (height, width) in pixels. Raises UserError if Blender is missing or cannot
+    render a scene.
     """
     with RenderFarm(1) as farm:
         for _, traced in farm.map(partial(_trace, size=size, settings=settings), scenes):

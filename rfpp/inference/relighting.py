@@ -32,23 +32,14 @@ _ROUNDS, _SMALL = 20, 0.01
 
 @dataclass(frozen=True)
 class SolvedLights:
-    """Solution for the lights of a picture.
+    """Solution for the lights of a picture."""
 
-    Attributes:
-        factors: Light → factors of its red, green and blue emission.
-        images: Linear radiance of the scene with these lights.
-        before: Σ|image − target| / Σ|target| of the valid pixels with the original lights.
-        after: The same with the solution.
-        invisible: Lights that contribute almost nothing to the target's views; their factors are 1.
-        alike: Pairs of lights with indistinguishable images, of which only the sum is known.
-    """
-
-    factors: dict[str, Factor]
-    images: Images
-    before: float
-    after: float
-    invisible: tuple[str, ...]
-    alike: tuple[tuple[str, str], ...]
+    factors: dict[str, Factor]  # of each light's red, green and blue emission
+    images: Images  # with these lights
+    before: float  # Σ|image − target| / Σ|target| with the original lights
+    after: float  # the same with the solution
+    invisible: tuple[str, ...]  # lights without effect on the target's views; their factors are 1
+    alike: tuple[tuple[str, str], ...]  # pairs with indistinguishable images, of which only the sum is known
 
 
 def solve_lights(

@@ -35,11 +35,8 @@ def require_encoder() -> None:
 def write_video(pictures: Iterable[UInt8[np.ndarray, "h w 3"]], path: Path, fps: float | int) -> Path:
     """Write pictures of one size as an MP4 file, atomically, and return its path.
 
-    H.264 halves the resolution of color, so odd sides are extended by a row or column.
-
-    Raises:
-        MissingDependencyError: If ffmpeg is missing.
-        UserError: If the file cannot be written; ffmpeg prints the reason.
+    H.264 halves the resolution of color, so odd sides are extended by a row or column. Raises UserError if ffmpeg is
+    missing or fails; it prints the reason.
     """
     require_encoder()
     from imageio_ffmpeg import count_frames_and_secs, write_frames

@@ -16,14 +16,7 @@ _EPOCH = (1980, 1, 1, 0, 0, 0)  # for reproducible bytes
 
 
 def write_extension(target: Path) -> Path:
-    """Write the zip file that Blender installs, and return its path.
-
-    Args:
-        target: Path of the file if it ends in .zip, otherwise its folder.
-
-    Raises:
-        UserError: If it cannot be written.
-    """
+    """Write the zip file that Blender installs, at a path that ends in .zip or in a folder, and return its path."""
     if target.suffix != ".zip":
         manifest = tomllib.loads(_MANIFEST.read_text(encoding="utf-8"))
         target /= f"{manifest['id']}-{manifest['version']}.zip"

@@ -40,11 +40,7 @@ class ReceivedScene:
 
     @classmethod
     def read(cls, content: bytes) -> ReceivedScene:
-        """Read a GLB file as `load_scene` does; not thread-safe.
-
-        Raises:
-            SceneError: If it is damaged, too large, or cannot be represented.
-        """
+        """Read a GLB file as `load_scene` does, one at a time. Raises SceneError if it is invalid or too large."""
         with warnings.catch_warnings(record=True) as caught, np.errstate(over="ignore", invalid="ignore"):
             warnings.simplefilter("always")
             fit = fitted(received_glb(content, _SOURCE), _SOURCE, "opaque", "none")
@@ -55,23 +51,14 @@ class ReceivedScene:
 
 
 class SceneRenderer:
-    """Renders scenes that were sent, and caches the latest of them.
-
-    Args:
-        renderer: Its caches limit the cost of an edit or another view to what changed.
-        max_bytes: Limit of the triangles in the cache.
-    """
+    """Renders scenes that were sent, and caches the latest of them, up to `max_bytes` of triangles."""
 
     def __init__(self, renderer: Renderer, max_bytes: int = 1 << 30) -> None:
         self.renderer = renderer
         self._scenes: BoundedCache[ReceivedScene] = BoundedCache(max_bytes)
 
     def receive(self, content: bytes) -> ReceivedScene:
-        """Read a GLB file, unless the cache has it.
-
-        Raises:
-            SceneError: As for `ReceivedScene.read`, and for a scene larger than the cache.
-        """
+        """Read a GLB file, unless the cache has it. Raises SceneError if it is invalid, or larger than the cache."""
         name = _name(content)
         received = self._scenes.get(name) or ReceivedScene.read(content)
         triangles = received.scene.triangles
@@ -82,12 +69,7 @@ class SceneRenderer:
         return received
 
     def render(self, request: RenderRequest) -> Float[np.ndarray, "h w 4"]:
-        """Return linear radiance and alpha, row 0 at the top.
-
-        Raises:
-            UnknownSceneError: If the scene has to be sent again.
-            UserError: See `Renderer.render` and `ImageWindow.around`.
-        """
+        """Return linear radiance and alpha, row 0 at the top. Raises UserError, UnknownSceneError among them."""
         if (received := self._scenes.get(request.scene)) is None:
             raise UnknownSceneError("unknown scene: send it first")
         window = ImageWindow.around(request.window, request.size, self.renderer.engine.patch_size)

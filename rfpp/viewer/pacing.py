@@ -9,12 +9,7 @@ _SMALLEST = 64
 
 
 class Pacing:
-    """Resolutions of images at rest and in motion.
-
-    Args:
-        patch: Divisor of both sides of an image.
-        seconds: Target time of an image in motion.
-    """
+    """Resolutions in multiples of `patch`; images in motion should take `seconds`."""
 
     def __init__(self, patch: int, seconds: float | int):
         self.patch, self.seconds = patch, seconds

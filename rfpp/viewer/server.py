@@ -18,6 +18,7 @@ from rfpp.scene.packed import PackedScene
 from rfpp.scene.spec import Scene
 from rfpp.viewer.controls import ObjectControls, ToneMaps, add_reference, add_saving, add_view
 from rfpp.viewer.layers import layers_of
+from rfpp.viewer.pacing import Pacing
 from rfpp.viewer.session import Drawn, Session, View
 from rfpp.viewer.viser_cameras import aspect_of, camera_of, cameras_of, move_to
 
@@ -93,7 +94,8 @@ class Viewer:
             height, width = drawn.rendered
             status.content = f"{width} × {height} in {1000 * drawn.seconds:.0f} ms"
 
-        session = Session(self._renderer, self._lock, view, report, self._moving_seconds)
+        pacing = Pacing(self._renderer.engine.patch_size, self._moving_seconds)
+        session = Session(view, pacing, self._lock, report)
         session.on_draw(show)
         self._sessions[client.client_id] = session
         add_view(client, session, layers, self._tone_maps, self._cameras)

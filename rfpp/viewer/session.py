@@ -13,7 +13,6 @@ from PIL import Image
 
 from rfpp.errors import UserError
 from rfpp.imaging.tone_maps import ToneMap
-from rfpp.inference.renderer import Renderer
 from rfpp.scene.packed import PackedScene, pack
 from rfpp.scene.spec import Camera, Scene
 from rfpp.viewer.layers import Layer
@@ -54,23 +53,14 @@ class Session:
     """Draws the newest view of one visitor: a small draft while it changes, in full once it rests.
 
     Args:
-        renderer: Renderer, shared by all visitors.
-        lock: Lock of the renderer.
         view: First view; the attribute `view` is the newest, `newest` its picture.
+        pacing: Resolutions at rest and in motion.
+        lock: Lock of the renderer, shared by all visitors.
         report: Receives one line if a view cannot be drawn.
-        moving_seconds: Target time of an image in motion.
     """
 
-    def __init__(
-        self,
-        renderer: Renderer,
-        lock: threading.Lock,
-        view: View,
-        report: Callable[[str], None],
-        moving_seconds: float | int,
-    ):
-        self._lock, self._report = lock, report
-        self.pacing = Pacing(renderer.engine.patch_size, moving_seconds)
+    def __init__(self, view: View, pacing: Pacing, lock: threading.Lock, report: Callable[[str], None]):
+        self._lock, self._report, self.pacing = lock, report, pacing
         self.view, self.newest, self._is_closed = view, None, False
         self._changed = threading.Condition()
         self._packed: tuple[Scene | PackedScene, PackedScene] | None = None

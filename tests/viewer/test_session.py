@@ -15,6 +15,7 @@ from rfpp.radiosity.radiosity import Radiosity
 from rfpp.scene.packed import pack
 from rfpp.viewer.edits import with_object, with_transform
 from rfpp.viewer.layers import layers_of
+from rfpp.viewer.pacing import Pacing
 from rfpp.viewer.reference import Reference
 from rfpp.viewer.session import Session, View
 
@@ -26,7 +27,8 @@ def view_of(renderer, longer_side=16) -> View:
 @contextmanager
 def session(renderer, view, moving_seconds=100.0):
     drawn, reports = queue.Queue(), queue.Queue()
-    started = Session(renderer, threading.Lock(), view, reports.put, moving_seconds)
+    pacing = Pacing(renderer.engine.patch_size, moving_seconds)
+    started = Session(view, pacing, threading.Lock(), reports.put)
     started.on_draw(drawn.put)
     started.start()
     try:

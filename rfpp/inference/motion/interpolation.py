@@ -36,9 +36,7 @@ def monotone(times: Times, values: Keys) -> Curve:
 def slerp(times: Times, degrees: Keys) -> Curve:
     """Return rotations in the convention of `Transform.rotation`, about one axis from key to key.
 
-    Raises:
-        SceneError: If an angle changes by 180 degrees or more between two keys, where the shortest rotation is not the
-            intended one.
+    Raises SceneError for changes of 180 degrees or more, for which the shortest rotation is not the intended one.
     """
 
     def interpolate(times: Times, degrees: Values) -> Curve:

@@ -89,13 +89,9 @@ class Keyframes(Motion):
     Times are in seconds. Keys hold properties of a camera, or of an object's `transform` and `material`, as in scene
     files. Each property passes through the keys that name it: positions on splines, rotations by slerp, all others
     without leaving the range of neighboring keys.
-
-    Attributes:
-        file: YAML or JSON file.
-        fps: Frames per second.
     """
 
-    file: Path
+    file: Path  # YAML or JSON
     fps: Annotated[float, Field(gt=0, le=1000)]
 
     @property

@@ -14,12 +14,9 @@ class NumberedScenes(Motion):
     """The scene files of a folder, ordered by the numbers at the end of their names; `scene` is the folder.
 
     `load_scene` fits most formats into the unit cube, frame by frame: use JSON for scenes that grow or move.
-
-    Attributes:
-        pattern: Pattern of the file names, such as `*.json`.
     """
 
-    pattern: str
+    pattern: str  # of the file names, such as *.json
 
     @property
     def name(self) -> str:
