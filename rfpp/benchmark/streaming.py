@@ -30,6 +30,7 @@ Seconds = tuple[float, float]
 
 def measure(
     data: Mapping[str, SyntheticData | str],
+    source: Callable[..., DataSource],
     datamodule: Callable[..., SceneDataModule],
     workers: Sequence[int],
     batches: int,
@@ -43,6 +44,7 @@ def measure(
 
     Args:
         data: Name → data set to write into a temporary folder, or the folder of an existing one.
+        source: Function from `root` to the stored scenes.
         datamodule: Function from (source, workers) to the data module.
         workers: Numbers of loader processes.
         batches: Batches per measurement.
@@ -50,13 +52,12 @@ def measure(
         progress: Called with (measurements done, all measurements).
     """
     done, total = 0, len(data) * rounds * len(workers)
-    for name, source in data.items():
+    for name, origin in data.items():
         with tempfile.TemporaryDirectory() as temporary:
-            root = Path(temporary if isinstance(source, SyntheticData) else source)
-            if isinstance(source, SyntheticData):
-                source.write(root, lambda done, total: None)
-            source_of_scenes = DataSource(root, None, None, validation_scenes=0, skip_corrupt=False)
-            modules = {count: datamodule(source=source_of_scenes, workers=count) for count in workers}
+            root = Path(temporary if isinstance(origin, SyntheticData) else origin)
+            if isinstance(origin, SyntheticData):
+                origin.write(root, lambda done, total: None)
+            modules = {count: datamodule(source=source(root=root), workers=count) for count in workers}
             seconds: dict[int, list[Seconds]] = {count: [] for count in workers}
             for _ in range(rounds):
                 for count, module in modules.items():
@@ -65,10 +66,8 @@ def measure(
                     progress(done, total)
             manifest = Manifest.load(root)
             for count, module in modules.items():
-                yield {
-                    "data": name,
-                    **_figures(manifest, module, batches * module.batching.scenes_per_step, seconds[count]),
-                }
+                scenes = batches * module.batching.scenes_per_step
+                yield {"data": name, **_figures(manifest, module, scenes, seconds[count])}
 
 
 def _figures(manifest: Manifest, datamodule: SceneDataModule, scenes: int, seconds: Sequence[Seconds]) -> Row:

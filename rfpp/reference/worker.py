@@ -17,11 +17,11 @@ from typing import Any
 
 import psutil
 
-from rfpp.child_signals import unheard_by_children
+from rfpp.child_signals import blocked_in_children
 
 
 class WorkerDeathError(RuntimeError):
-    """A worker process exited during a job (crash or out of memory)."""
+    """A worker process died during a job (crash or out of memory)."""
 
 
 class WorkerHangError(RuntimeError):
@@ -30,7 +30,7 @@ class WorkerHangError(RuntimeError):
 
 @dataclass(frozen=True)
 class Limits:
-    """Limits of a worker: jobs, memory growth since its first job in MB, seconds per job."""
+    """Limits of a worker: number of jobs, memory growth since its first job in MB, seconds per job."""
 
     jobs: int
     growth_mb: float | int
@@ -64,18 +64,18 @@ class Slot:
         message = pickle.dumps((job, task.item))
         try:
             self.connection.send_bytes(message)
-        except OSError:  # the idle worker was killed: `finish` reports it and the item is retried
+        except OSError:  # the idle worker was killed: `finish` will find it dead and the item is tried again
             self.connection.close()
 
     def finish(self, limits: Limits) -> tuple[Task, Any]:
-        """Return the current task and its result; stop the worker if it crashed, hangs or reached its limits."""
+        """The current task and its result; replaces the worker if it died, hangs or has reached its limits."""
         if self.connection.closed or self.connection.poll():
             result = self._received()
         else:
             self.process.kill()
             result = WorkerHangError(f"not finished after {limits.seconds:g} s: its worker was killed")
         task, self.task = self.task, None
-        if isinstance(result, WorkerDeathError | WorkerHangError) or self._has_reached(limits):
+        if isinstance(result, WorkerDeathError | WorkerHangError) or self._has_done_its_share(limits):
             self.stop()
         return task, result
 
@@ -85,15 +85,15 @@ class Slot:
         except (EOFError, OSError):
             self.process.join(timeout=5)
             return WorkerDeathError(
-                f"the worker process exited with code {self.process.exitcode} "
+                f"the worker process ended with exit code {self.process.exitcode} "
                 "(negative: killed by that signal, -9 often means out of memory)"
             )
 
-    def _has_reached(self, limits: Limits) -> bool:
+    def _has_done_its_share(self, limits: Limits) -> bool:
         self.jobs_done += 1
         try:
             memory = psutil.Process(self.process.pid).memory_info().rss
-        except psutil.NoSuchProcess:  # it exited after its answer
+        except psutil.NoSuchProcess:  # it died after its answer; the next job would find out
             return True
         self.first_memory = self.first_memory or memory
         return self.jobs_done >= limits.jobs or memory - self.first_memory > limits.growth_mb * 1e6
@@ -106,7 +106,7 @@ class Slot:
                 self.process.terminate()
 
     def stop(self) -> None:
-        """Stop the worker and wait for it."""
+        """End the worker and wait for it."""
         if self.process is None:
             return
         self.dismiss()
@@ -119,13 +119,13 @@ class Slot:
     def _start(self) -> None:
         context = multiprocessing.get_context("spawn")
         self.connection, theirs = context.Pipe()
-        with _running_on(self.cores), unheard_by_children():  # only the main process handles Ctrl-C
+        with _running_on(self.cores), blocked_in_children():  # only the first process decides on Ctrl-C
             self.process = context.Process(target=_serve, args=(theirs,), daemon=True)
             self.process.start()
         theirs.close()
 
 
-#: Seconds that a worker may take to exit.
+#: Seconds that a worker may take to leave.
 _UNWINDING = 10
 
 
@@ -149,10 +149,11 @@ def _serve(connection: Connection) -> None:
 
 
 def _leave(*_: object) -> None:
-    """Exit silently with stack unwinding, so that temporary files are removed, in bounded time.
+    """Exit silently, with stack unwinding, so that temporary files are removed.
 
-    Output is suppressed because Blender reports leaks when it is interrupted. Further SIGTERMs are ignored because they
-    would interrupt the unwinding.
+    Blender, torn down in the middle of a picture, complains of every block of memory. A second SIGTERM would interrupt
+    the unwinding, and what waits for threads there would wait for ever; what takes too long is ended, as nobody else
+    may be left to do it.
     """
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
     if hasattr(signal, "alarm"):
@@ -170,7 +171,7 @@ def _pickled_error(error: Exception) -> bytes:
         answer = pickle.dumps(error)
         pickle.loads(answer)
         return answer
-    except Exception:  # an exception that cannot be unpickled
+    except Exception:  # an exception whose constructor pickle cannot repeat
         plain = RuntimeError(f"{type(error).__name__}: {error}")
         plain.add_note(trace)
         return pickle.dumps(plain)
@@ -178,7 +179,7 @@ def _pickled_error(error: Exception) -> bytes:
 
 @contextmanager
 def _running_on(cores: frozenset[int]) -> Iterator[None]:
-    """Pin new processes to `cores` inside the block; ignored on systems without CPU pinning."""
+    """Within this block new processes inherit `cores`; systems without CPU pinning ignore it."""
     if not hasattr(os, "sched_setaffinity"):
         yield
         return
