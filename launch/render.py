@@ -25,7 +25,7 @@ from rich.console import Console
 from rfpp import Renderer
 from rfpp.commands import CONFIG_DIR, entry_point, settings
 from rfpp.errors import UserError
-from rfpp.imaging.tone_maps import ToneMap
+from rfpp.imaging.tone_maps import ToneMap, tone_map_of
 from rfpp.inference.animation import Animation
 from rfpp.inference.gbuffers import GBufferSource
 from rfpp.inference.motion.frames import Frames, with_cameras
@@ -55,7 +55,7 @@ def main(cfg: DictConfig) -> list[Path]:
         key = max(missing)  # the scene before others
         raise UserError(f"{key} is not given: add {key}=… to the command line")
     chosen = RenderSettings.parse(OmegaConf.to_container(cfg, resolve=True))
-    tone_map = instantiate(cfg.tone_map, stops=chosen.exposure)
+    tone_map = tone_map_of(cfg.tone_map, chosen.exposure)
     motion, cycles = instantiate(cfg.get("motion")), cycles_settings(chosen, cfg.against)
     if motion:
         if cfg.against:

@@ -127,7 +127,7 @@ def test_a_turntable_is_a_film_that_is_resumed(render, tmp_path):
     assert "5 frames of 16 x 16, 5 rendered" in said
     assert imageio_ffmpeg.count_frames_and_secs(str(files[0]))[0] == 5
     before = files[0].read_bytes()
-    files, said = render(*film, "tone_map=neutral")
+    files, said = render(*film, "tone_map=perceptual")
     assert "5 frames of 16 x 16, 0 rendered" in said
     assert files[0].read_bytes() != before  # the same frames in another tone map
 
@@ -179,7 +179,7 @@ WRONG = {
     "a layer that does not exist": ([ONE, "layers=[normals]"], "'normals' does not exist"),
     "a device that is not there": ([ONE, "device=abacus"], "device=abacus"),
     "an exposure that is none": ([ONE, "exposure=bright"], "exposure: "),
-    "scenes of one name": ([f"scene=[{BOX},elsewhere/cornell_box.glb]"], "render each alone"),
+    "scenes of one name": ([f"scene=[{BOX},elsewhere/cornell_box.glb]"], "render each separately"),
     "one file for two scenes": ([f"scene=[{BOX},b.json]", "output=a.exr"], "b.json"),
     "a picture for a film": ([ONE, "motion=turntable", "output=a.exr"], "ends in .mp4"),
     "a film for a picture": ([ONE, "output=a.mp4"], "ends in .exr"),

@@ -59,7 +59,7 @@ def submit(cluster: SlurmCluster, run_dir: Path, overrides: tuple[str, ...]) -> 
     return cluster.submit(
         "--nodes=2", "--ntasks-per-node=1", "--cpus-per-task=1", "--gpus-per-node=0", f"--output={run_dir}.log",
         "--export=ALL," + ",".join(f"{key}={value}" for key, value in environment.items()),
-        "launch/slurm/train.sbatch", "experiment=quickstart", "trainer.strategy=ddp", "callbacks=ema",
+        "launch/slurm/train.sbatch", "experiment=quickstart", "trainer.strategy=ddp",
         "callbacks.checkpoints.every_n_steps=50", *overrides, f"run_dir={run_dir}", f"name={run_dir.parent.name}",
         f"logger.run_name={run_dir.name}", cwd=REPOSITORY,
     )  # fmt: skip
