@@ -41,11 +41,6 @@ def measure(
         checked: Overrides of launch/train.py for training that is small enough to be timed here.
         predicted: Overrides for training on the clusters, with its global batch and with one that grows with them.
         sample: Number of scenes that represent the family; at least two global batches of `checked`.
-        partitions: Name → distribution of a global batch over devices.
-        clusters: Name → cluster.
-        devices: Numbers of devices.
-        rounds: Rounds of timing; medians are used.
-        progress: Called with (rounds done, all rounds).
     """
     training = TrainingCase.compose(checked)
     scenes = training.scenes(sample)

@@ -46,10 +46,6 @@ def measure(
         data: Name → data set to write into a temporary folder, or the folder of an existing one.
         source: Function from `root` to the stored scenes.
         datamodule: Function from (source, workers) to the data module.
-        workers: Numbers of loader processes.
-        batches: Batches per measurement.
-        rounds: Number of rounds.
-        progress: Called with (measurements done, all measurements).
     """
     done, total = 0, len(data) * rounds * len(workers)
     for name, origin in data.items():

@@ -27,11 +27,8 @@ class SyntheticData:
     """First training scenes of a family, with synthetic images.
 
     Attributes:
-        family: Family of the scenes.
         data: Settings of the data set; name, folder and number of scenes are replaced.
         reference: Settings of Cycles, of which only the seed is used.
-        farm: Worker processes.
-        scenes: Number of scenes.
     """
 
     family: SceneSource

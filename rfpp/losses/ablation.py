@@ -44,8 +44,6 @@ def ablated(network: RenderFormerPP, batch: RaggedBatch, other: TokenFeatures) -
     """Render a batch once per ablation.
 
     Args:
-        network: Network in evaluation mode.
-        batch: Scenes to render.
         other: Token features of other scenes. They are repeated where there are too few.
 
     Returns:
@@ -79,8 +77,6 @@ class AblationErrors:
         """Add one batch.
 
         Args:
-            network: Network in evaluation mode.
-            batch: Scenes with images.
             log_radiance: log10(1 + radiance) of the unmodified network.
         """
         assert batch.image is not None

@@ -35,10 +35,7 @@ class Metric:
     """Description of a metric.
 
     Attributes:
-        label: Name in tables.
-        higher_is_better: Whether larger values are better.
         definition: Formula with tone map and epsilon.
-        decimals: Digits in tables.
     """
 
     label: str

@@ -28,9 +28,6 @@ class ShardSplit(Dataset):
     Reads only the bytes of the requested sample. Picklable: every process opens its own tars.
 
     Args:
-        root: Folder or URL of the data set, or several to be concatenated.
-        split: For example "train", "train_newviews", "test".
-        cache: Cache for URLs.
         require_all: Check on construction that all local shards exist with their listed size.
 
     Raises:

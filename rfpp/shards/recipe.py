@@ -68,10 +68,6 @@ class Recipe:
     """A data set as a pure function: every sample follows from its task and the settings.
 
     Attributes:
-        name, root: of the data set.
-        splits: split → number of samples.
-        views: number per sample.
-        scenes_per_shard: samples in one tar.
         settings: JSON-able account of everything the content depends on.
         job: makes a sample; picklable.
     """
@@ -96,9 +92,6 @@ class Recipe:
         """Return the recipe of random scenes.
 
         Args:
-            family: Source of the scenes.
-            reference: Cycles settings.
-            data: Size and location of the data set, and properties of its samples.
             groups: JSON-able account of family and reference. Classes count by name, so that code can move.
             render: Renders images; has the signature of `rfpp.reference.cycles.render`.
         """
@@ -134,11 +127,7 @@ class Recipe:
         raise UserError(f"{self.root}: no sample '{key}' is planned: choose from {available}")
 
     def require_same_settings(self) -> None:
-        """Store the settings beside the shards, or compare them with the stored ones.
-
-        Raises:
-            ShardError: If the settings differ.
-        """
+        """Store the settings beside the shards, or compare them with the stored ones."""
         path = self.root / _SETTINGS_FILE
         try:
             stored = json.loads(path.read_bytes())

@@ -21,8 +21,6 @@ def verify(root: Path, farm: RenderFarm, progress: Callable[[int, int], None]) -
     """Return all defects of a data set, one line each, in the order of its shards.
 
     Args:
-        root: Folder of the data set.
-        farm: Worker processes.
         progress: Called with (checked shards, all shards).
 
     Raises:

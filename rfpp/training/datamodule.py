@@ -28,12 +28,9 @@ class SceneDataModule(L.LightningDataModule):
     Its state is the position in the data order: a resumed run reads no scene twice in an epoch.
 
     Args:
-        source: Stored scenes.
-        batching: Division into batches.
         gbuffer_channels: Channels that the network reads, in order.
         augmentation: Name → augmentation of training draws, applied in this order; None disables one.
         workers: Loader processes per device.
-        seed: Seed of data order, views and augmentation.
     """
 
     def __init__(

@@ -12,9 +12,6 @@ def warmup_cosine(optimizer: Optimizer, warmup_steps: int, total_steps: int, fin
     """Return a schedule with linear warm-up and cosine decay.
 
     Args:
-        optimizer: Optimizer with the maximum learning rate.
-        warmup_steps: Steps of the warm-up.
-        total_steps: Steps of the whole run.
         final_fraction: Fraction of the maximum learning rate at the end.
     """
 

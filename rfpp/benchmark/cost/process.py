@@ -53,14 +53,7 @@ class Turn:
 
 
 class Worker:
-    """Process that holds a network and a task. Call `ready` once, then `turn` any number of times.
-
-    Args:
-        network, task, case: Objects of the measurement.
-        compiled: Compile the transformer blocks.
-        setting: Device and precision.
-        timeout: Maximum seconds per turn.
-    """
+    """Process that holds a network and a task. Call `ready` once, then `turn` any number of times."""
 
     def __init__(
         self, network: Untrained, task: Task, case: Case, compiled: bool, setting: Setting, timeout: float | int

@@ -43,14 +43,9 @@ class SplitSection:
     """The section of the page about one split.
 
     Attributes:
-        name: Name of the split.
-        scenes: Number of scenes.
-        means: Estimates by predictor and metric.
-        best: Best mean by metric.
         ablation: Growth of log-L1 by ablation; may be empty.
         transport: Residual and log-L1 after each application of the operator; may be empty.
         sizes: Plot of the model over triangles, by metric.
-        pictured: Scenes with pictures, worst first.
     """
 
     name: str
@@ -66,17 +61,7 @@ class SplitSection:
 def write_report(
     evaluation: Evaluation, records: Sequence[SceneRecord], pictured: Sequence[PicturedScene], folder: Path
 ) -> Path:
-    """Write report.html into `folder`; return its path.
-
-    Args:
-        evaluation: Means and their source.
-        records: Records of all scenes and predictors.
-        pictured: Scenes with pictures.
-        folder: Folder to write to.
-
-    Raises:
-        UserError: If the file cannot be written.
-    """
+    """Write report.html into `folder`; return its path."""
     splits = dict.fromkeys(split for split, _ in evaluation.means)
     text = _PAGES.get_template("report.html").render(
         about=evaluation,

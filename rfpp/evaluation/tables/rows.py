@@ -32,12 +32,7 @@ class Column:
 
 @dataclass(frozen=True)
 class Run:
-    """One training, or several that differ only in their seeds.
-
-    Attributes:
-        evaluations: Evaluations of each seed on each data set.
-        columns: Numbers for each group of columns.
-    """
+    """One training, or several that differ only in their seeds."""
 
     evaluations: Sequence[Evaluation]
     columns: Sequence[Column]
@@ -53,11 +48,9 @@ class Row:
     """A method in a table.
 
     Attributes:
-        label: Name in the table.
         runs: Our runs; empty if there are none.
         paper: The paper's numbers, by metric for each group of columns; None if the method is not in the paper.
         paper_steps: Optimizer steps in the paper, if known.
-        is_baseline: Whether the method is a trivial baseline.
     """
 
     label: str
@@ -69,15 +62,7 @@ class Row:
 
 @dataclass(frozen=True)
 class ResultTable:
-    """A table of rows in named blocks.
-
-    Attributes:
-        name: Name of its files.
-        title: Caption.
-        groups: Groups of columns.
-        metrics: Metrics in each group.
-        blocks: Headings and their rows.
-    """
+    """A table of rows in named blocks."""
 
     name: str
     title: str

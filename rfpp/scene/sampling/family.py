@@ -82,15 +82,6 @@ class SceneFamily:
 
     Geometry, materials and lights come from one rng and cameras from another, so that a scene can be rendered from new
     viewpoints. Every component has its own stream: changing one does not change the draws of the others.
-
-    Attributes:
-        name: of the family and its scenes.
-        objects: source of object meshes.
-        budget: number of objects and of triangles.
-        placement: of the objects.
-        materials: of the objects.
-        background_materials: of floor and walls.
-        backgrounds, lights, cameras: samplers of each.
     """
 
     name: str
@@ -110,8 +101,6 @@ class SceneFamily:
         scenes.
 
         Args:
-            scene_rng: Generator of everything but cameras.
-            camera_rng: Generator of cameras.
             held_out: Use objects that are held out for test scenes, instead of all others.
 
         Raises:

@@ -114,11 +114,7 @@ class Placement:
 
 @dataclass(frozen=True)
 class UprightPlacement(Placement):
-    """Placement of furniture: most objects rotate only about the vertical axis.
-
-    Attributes:
-        upright: probability of that.
-    """
+    """Placement of furniture: most objects rotate only about the vertical axis."""
 
     upright: float
 

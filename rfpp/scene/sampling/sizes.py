@@ -42,11 +42,7 @@ class SharedSpace:
 
 @dataclass(frozen=True)
 class UniformRadius:
-    """Uniform radii, independent of the number of objects.
-
-    Attributes:
-        radius: of the bounding spheres.
-    """
+    """Uniform radii, independent of the number of objects."""
 
     radius: Interval
 

@@ -33,9 +33,6 @@ class StepStatistics(L.Callback):
     the process without its loaders.
     `data/skipped`: scenes skipped since the run was started or resumed, over all devices.
     `system/`: load of the first rank's machine, with MLflow's names.
-
-    Args:
-        every_n_steps: Length of a window.
     """
 
     def __init__(self, every_n_steps: int):

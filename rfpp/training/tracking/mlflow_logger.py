@@ -23,9 +23,6 @@ class MlflowLogger(RunLogger):
     the server has not received at the end is sent by `python -m rfpp.training.tracking <run folder>`.
 
     Args:
-        experiment_name: Experiment in MLflow.
-        run_name: Name of the run in MLflow.
-        run_dir: Folder of the run.
         folder: Folder of the store if there is no server.
         tracking_uri: URI of an MLflow server, or None.
         parent: Name of the parent run, created if missing, or None.

@@ -45,8 +45,6 @@ class MlflowRun:
         folder_id: Id of the run folder, the value of FOLDER_TAG.
         tracking_uri: URI of a server or a database.
         artifact_location: Folder of the experiment's artifacts; None if the server decides.
-        experiment_name: Experiment in MLflow.
-        run_name: Name of the run, not unique.
         parent: Name of the parent run, or None.
         run_id: MLflow's id; None until the run has been created.
         sent: Bytes of the journal that MLflow has received.

@@ -16,7 +16,6 @@ def checkpoint_file(checkpoint: str, tracking_uri: str | None, folder: Path) -> 
     """Resolve `models:/<name>/<version>`, `models:/<name>/latest` or `models:/<name>@<alias>` to a file.
 
     Args:
-        checkpoint: Name of a registered model; any other string is returned unchanged.
         tracking_uri: URI of the MLflow server, or None for the store in `folder`.
         folder: Folder to download to, as `registered/<name>/<version>/checkpoints`.
 
@@ -43,12 +42,6 @@ def checkpoint_file(checkpoint: str, tracking_uri: str | None, folder: Path) -> 
 
 def log_results(tracking_uri: str, run_id: str, metrics: dict[str, float], files: dict[Path, str]) -> None:
     """Log metrics and files to a finished run.
-
-    Args:
-        tracking_uri: URI of the MLflow server or store.
-        run_id: MLflow's id of the run.
-        metrics: Values by name.
-        files: Artifact folder of each file.
 
     Raises:
         UserError: If MLflow does not have the run, or cannot be reached.

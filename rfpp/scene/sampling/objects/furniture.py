@@ -62,7 +62,6 @@ class FurnitureObjects(LibraryObjects):
     """Each piece of furniture in some .sh3f files is one object, named by its file and its id in the catalogue.
 
     Attributes:
-        library_name: name of the library.
         folder: of the files; needed only for preparation.
         files: their names, without suffix.
     """

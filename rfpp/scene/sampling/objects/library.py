@@ -82,13 +82,7 @@ class Index(StrictModel):
 
 @dataclass(frozen=True, eq=False)
 class Library:
-    """A prepared library.
-
-    Attributes:
-        root: its folder.
-        index: its content.
-        hash: sha256 of library.json, which contains the hash of every mesh.
-    """
+    """A prepared library."""
 
     root: Path
     index: Index

@@ -43,8 +43,6 @@ def prepare(source: LibraryObjects, map: Map, progress: Callable[[int, int], Non
     """Build the library of a source, or its missing and changed objects.
 
     Args:
-        source: Source of the meshes.
-        map: Applies a job to items.
         progress: Called with (finished originals, all originals).
 
     Raises:

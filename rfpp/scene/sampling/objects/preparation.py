@@ -46,12 +46,7 @@ Reason = Literal[
 
 
 class RejectionError(Exception):
-    """A mesh that cannot be an object of a scene.
-
-    Attributes:
-        reason: category, to be counted.
-        detail: description.
-    """
+    """A mesh that cannot be an object of a scene."""
 
     def __init__(self, reason: Reason, detail: str) -> None:
         super().__init__(f"{reason}: {detail}")

@@ -48,8 +48,6 @@ class ProceduralObjects:
 
     Attributes:
         kinds: names from `KINDS`, equally frequent.
-        pool: number of different objects.
-        held_out: share held out for test scenes.
         stretched: probability of scaling along the axes.
         deformed: probability of a twist, taper or bend.
     """
