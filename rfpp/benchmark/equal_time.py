@@ -71,21 +71,24 @@ def measure(
     for taken, name in enumerate(turns, start=1):
         results[name].append(methods[name][0](versions, resolution))
         progress(taken, total)
-    arcs = [orbit(scene, np.linspace(0, _ARC, animation["frames"])) for scene in scenes] if animation else []
-    arc_settings = replace(converged, samples=animation["samples"]) if animation else converged
-    arc_references = [_reference(arc, animation["resolution"], arc_settings, Path(cache)) for arc in arcs]
+    arcs, arc_references = [], []
+    if animation:
+        arcs = [[orbit(scene, np.linspace(0, _ARC, animation["frames"]))] for scene in scenes]
+        settings = replace(converged, samples=animation["samples"])
+        arc_references = [_reference(arc, animation["resolution"], settings, Path(cache)) for [arc] in arcs]
     for taken, (name, (method, columns)) in enumerate(methods.items(), start=len(turns) + 1):
-        animations = method([[arc] for arc in arcs], animation["resolution"]) if animation else []
+        rows: list[Row] = []
         for place, (title, reference) in enumerate(zip(exhibits, references, strict=True)):
             rounds_of_scene = [turn[place] for turn in results[name]]
-            seconds = [median(s for _, s in traced) for traced in zip(*rounds_of_scene, strict=True)]
+            first, view, edit = (median(s for _, s in traced) for traced in zip(*rounds_of_scene, strict=True))
+            [(images, _), *_] = rounds_of_scene[0]
             row: Row = {"scene": title, "method": name, **columns, "resolution": resolution}
-            row |= dict(zip(("first_s", "view_s", "edit_s"), seconds, strict=True))
-            row |= errors(rounds_of_scene[0][0][0][0], reference)
-            if animation:
-                [(frames, took)] = animations[place]
-                row |= {"frame_s": took / len(frames), "flicker": flicker(frames, arc_references[place])}
-            yield row
+            rows.append({**row, "first_s": first, "view_s": view, "edit_s": edit, **errors(images[0], reference)})
+        if animation:
+            animations = method(arcs, animation["resolution"])
+            for row, [(frames, seconds)], reference in zip(rows, animations, arc_references, strict=True):
+                row |= {"frame_s": seconds / len(frames), "flicker": flicker(frames, reference)}
+        yield from rows
         progress(taken, total)
 
 

@@ -25,7 +25,7 @@ from rfpp.losses.rendering import RenderingLoss
 from rfpp.model.renderformer_pp import RenderFormerPP
 from rfpp.scene.packed import pack
 from rfpp.shards.job import SceneSource
-from rfpp.training.dealing import Dealing, InOrder
+from rfpp.training.partition import Contiguous, Partition
 
 RANKS = 2
 #: Steps on different scenes that are timed together.
@@ -63,9 +63,9 @@ class TrainingCase:
             optimizer=instantiate(cfg.optimizer),
             family=instantiate(cfg.family, _convert_="all"),
             resolution=cfg.data.resolution,
-            views=cfg.datamodule.views_per_scene,
-            scenes_per_step=cfg.datamodule.scenes_per_step,
-            scenes_at_once=cfg.datamodule.scenes_per_device,
+            views=cfg.datamodule.batching.views_per_scene,
+            scenes_per_step=cfg.datamodule.batching.scenes_per_step,
+            scenes_at_once=cfg.datamodule.batching.scenes_per_device,
         )
 
     def scenes(self, count: int) -> list[SceneViews]:
@@ -100,7 +100,7 @@ class Timings:
 def time_ranks(
     training: TrainingCase,
     scenes: Sequence[SceneViews],
-    partitions: Mapping[str, Dealing],
+    partitions: Mapping[str, Partition],
     rounds: int,
     progress: Callable[[int, int], None],
 ) -> Timings:
@@ -130,7 +130,7 @@ def _rank(
     address: str,
     training: TrainingCase,
     scenes: list[SceneViews],
-    partitions: Sequence[Dealing],
+    partitions: Sequence[Partition],
     rounds: int,
     results: Any,  # queue of one list of seconds per round
 ) -> None:
@@ -143,7 +143,7 @@ def _rank(
     optimizer = training.optimizer(network.parameters())
     batches = [scenes[i * training.scenes_per_step :][: training.scenes_per_step] for i in range(STEPS)]
 
-    def share(partition: Dealing) -> list[RaggedBatch]:
+    def share(partition: Partition) -> list[RaggedBatch]:
         """Return this rank's part of each global batch."""
         parts = [partition(batch, lambda scene: len(scene.triangles), RANKS)[rank] for batch in batches]
         return [RaggedBatch.pack(part) for part in parts]
@@ -157,7 +157,7 @@ def _rank(
             optimizer.step()
             optimizer.zero_grad()
 
-    whole, half = [RaggedBatch.pack(batch) for batch in batches], share(InOrder())
+    whole, half = [RaggedBatch.pack(batch) for batch in batches], share(Contiguous())
     gradients = torch.zeros(sum(p.numel() for p in network.parameters()))
     measurements: Sequence[Callable[[], object]] = (
         lambda: train(network, whole) if rank == 0 else None,

@@ -14,8 +14,8 @@ from rfpp.batch import RaggedBatch, SceneViews
 from rfpp.benchmark.csv_rows import Row
 from rfpp.benchmark.ranks import Timings, TrainingCase, time_ranks
 from rfpp.benchmark.step_time import Cluster, Work, step_time
-from rfpp.training.dealing import Dealing
 from rfpp.training.flops import training_flops
+from rfpp.training.partition import Partition
 
 #: Scenes whose operations are counted; those of the others are linear in the number of triangles.
 COUNTED = 3
@@ -25,7 +25,7 @@ def measure(
     checked: Sequence[str],
     predicted: Sequence[str],
     sample: int,
-    partitions: Mapping[str, Dealing],
+    partitions: Mapping[str, Partition],
     clusters: Mapping[str, Cluster],
     devices: Sequence[int],
     rounds: int,
@@ -65,7 +65,7 @@ def measure(
         yield from _rows(columns, cluster, {n: replace(own, scenes=per_device * n) for n in devices}, {})
 
 
-def _work(training: TrainingCase, scenes: Sequence[SceneViews], partition: Dealing) -> Work:
+def _work(training: TrainingCase, scenes: Sequence[SceneViews], partition: Partition) -> Work:
     """Count the work of a step on such scenes."""
     network = training.network()
     triangles = np.array([len(scene.triangles) for scene in scenes])

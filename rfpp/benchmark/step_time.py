@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from rfpp.training.dealing import Dealing
+from rfpp.training.partition import Partition
 
 #: Share of the backward pass, which produces the gradients, in forward and backward.
 BACKWARD_SHARE = 2 / 3
@@ -66,7 +66,7 @@ class Work:
     gradient_bytes: float
     scenes: int
     scenes_at_once: int | None
-    partition: Dealing
+    partition: Partition
     views: int
 
     @property

@@ -16,6 +16,7 @@ from rfpp.benchmark.csv_rows import Row
 from rfpp.benchmark.synthetic_data import SyntheticData
 from rfpp.shards.manifest import Manifest
 from rfpp.training.datamodule import SceneDataModule
+from rfpp.training.source import DataSource
 
 #: Images per second of the paper's training on a node of 8 GPUs: 32 images in a step of 1.2 s.
 PAPER_IMAGES_PER_SECOND = 32 / 1.2
@@ -29,6 +30,7 @@ Seconds = tuple[float, float]
 
 def measure(
     data: Mapping[str, SyntheticData | str],
+    source: Callable[..., DataSource],
     datamodule: Callable[..., SceneDataModule],
     workers: Sequence[int],
     batches: int,
@@ -42,19 +44,20 @@ def measure(
 
     Args:
         data: Name → data set to write into a temporary folder, or the folder of an existing one.
-        datamodule: Function from (root, workers) to the data module.
+        source: Function from `root` to the stored scenes.
+        datamodule: Function from (source, workers) to the data module.
         workers: Numbers of loader processes.
         batches: Batches per measurement.
         rounds: Number of rounds.
         progress: Called with (measurements done, all measurements).
     """
     done, total = 0, len(data) * rounds * len(workers)
-    for name, source in data.items():
+    for name, origin in data.items():
         with tempfile.TemporaryDirectory() as temporary:
-            root = Path(temporary if isinstance(source, SyntheticData) else source)
-            if isinstance(source, SyntheticData):
-                source.write(root, lambda done, total: None)
-            modules = {count: datamodule(root=root, workers=count) for count in workers}
+            root = Path(temporary if isinstance(origin, SyntheticData) else origin)
+            if isinstance(origin, SyntheticData):
+                origin.write(root, lambda done, total: None)
+            modules = {count: datamodule(source=source(root=root), workers=count) for count in workers}
             seconds: dict[int, list[Seconds]] = {count: [] for count in workers}
             for _ in range(rounds):
                 for count, module in modules.items():
@@ -63,14 +66,15 @@ def measure(
                     progress(done, total)
             manifest = Manifest.load(root)
             for count, module in modules.items():
-                yield {"data": name, **_figures(manifest, module, batches * module.scenes_per_step, seconds[count])}
+                scenes = batches * module.batching.scenes_per_step
+                yield {"data": name, **_figures(manifest, module, scenes, seconds[count])}
 
 
 def _figures(manifest: Manifest, datamodule: SceneDataModule, scenes: int, seconds: Sequence[Seconds]) -> Row:
     entries = manifest.samples("train")
     megabytes = sum(entry.size for entry in entries) / len(entries) / 1e6
     rate = scenes / median(wall for wall, _ in seconds)
-    images = rate * datamodule.views_per_scene
+    images = rate * datamodule.batching.views_per_scene
     return {
         "resolution": manifest.settings["data"]["resolution"],
         "triangles": round(sum(entry.triangles for entry in entries) / len(entries)),

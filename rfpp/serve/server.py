@@ -28,7 +28,7 @@ from starlette.routing import Route
 
 from rfpp.errors import UserError, one_line
 from rfpp.inference.renderer import Renderer
-from rfpp.own_machine import refusal
+from rfpp.local_requests import reason_to_refuse
 from rfpp.serve.render_request import RenderRequest
 from rfpp.serve.scene_renderer import SceneRenderer, UnknownSceneError
 
@@ -111,7 +111,7 @@ def _guarded(endpoint: Callable[[Request], Awaitable[Response]]) -> Callable[[Re
     """Refuse web pages, other programs, and add-ons of another version."""
 
     async def respond(request: Request) -> Response:
-        if reason := refusal(request.headers.get("Host"), request.headers.get("Origin")):
+        if reason := reason_to_refuse(request.headers.get("Host"), request.headers.get("Origin")):
             raise HTTPException(403, reason)
         if (version := request.headers.get(_HEADER)) != str(PROTOCOL):
             versions = f"the header {_HEADER} must be {PROTOCOL}, not {one_line(version or 'missing', 10)}"

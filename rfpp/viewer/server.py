@@ -17,6 +17,7 @@ from rfpp.reference.cycles import CyclesSettings
 from rfpp.scene.packed import PackedScene
 from rfpp.scene.spec import Scene
 from rfpp.viewer.controls import ObjectControls, ToneMaps, add_reference, add_saving, add_view
+from rfpp.viewer.guard import guarded
 from rfpp.viewer.layers import layers_of
 from rfpp.viewer.pacing import Pacing
 from rfpp.viewer.session import Drawn, Session, View
@@ -61,7 +62,7 @@ class Viewer:
         self._lock, self._executor = threading.Lock(), ThreadPoolExecutor(1, "path tracing")
         self._sessions: dict[int, Session] = {}
         _require_address(host, port)
-        with redirect_stdout(StringIO()):  # viser prints a banner
+        with redirect_stdout(StringIO()), guarded():  # viser prints a banner
             self._server = viser.ViserServer(host=host, port=port, label=f"rfpp: {scene.name}", verbose=False)
         self._server.scene.set_up_direction("+z")
         self._server.on_client_connect(self._open_session)

@@ -12,7 +12,8 @@ PARTITIONS = ("in order", "by size")
 
 def test_the_model_is_checked_here_and_applied_to_clusters(tmp_path):
     training = [
-        "experiment=quickstart", *SMALLEST, "data.resolution=16", "loss.lpips_weight=0", "datamodule.scenes_per_step=2"
+        "experiment=quickstart", *SMALLEST, "data.resolution=16", "loss.lpips_weight=0",
+        "datamodule.batching.scenes_per_step=2",
     ]  # fmt: skip
     overrides = ",".join(f"'{override}'" for override in training)
     with initialize_config_dir(str(CONFIG_DIR), version_base="1.3"):

@@ -4,13 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from rfpp.training.dealing import BySize, Dealing, InOrder
 
 from rfpp.benchmark.step_time import BACKWARD_SHARE, Cluster, Work, all_reduce_seconds, slowest_share, step_time
+from rfpp.training.partition import BalancedBySize, Contiguous, Partition
 
 WORK = Work(
     triangles=np.full(10, 100), scene_flops=np.full(10, 3e12), gradient_bytes=8e8, scenes=16, scenes_at_once=None,
-    partition=InOrder(), views=2,
+    partition=Contiguous(), views=2,
 )  # fmt: skip
 CLUSTER = Cluster(
     devices_per_node=8, flops_per_second=1e12, seconds_per_batch=0.5, device_bandwidth=1e11, node_bandwidth=1e10,
@@ -34,13 +34,13 @@ def test_accumulated_batches_cost_their_fixed_time_each():
     assert step_time(CLUSTER, replace(WORK, scenes_at_once=3), 4).compute == pytest.approx(4 * 3 + 2 * 0.5)
 
 
-def relative_load(sizes: np.ndarray, devices: int, share: int, partition: Dealing) -> float:
+def relative_load(sizes: np.ndarray, devices: int, share: int, partition: Partition) -> float:
     """Return the load of the slowest device, with operations proportional to triangles."""
     work = replace(WORK, triangles=sizes, scene_flops=sizes.astype(float), scenes=devices * share, partition=partition)
     return slowest_share(work, devices)
 
 
-@pytest.mark.parametrize("partition", [InOrder(), BySize()])
+@pytest.mark.parametrize("partition", [Contiguous(), BalancedBySize()])
 def test_the_slowest_of_two_devices_has_the_expected_maximum(partition):
     """One scene each, 1 or 3 with even chances: the maximum's mean is 2.5 where the mean is 2."""
     assert relative_load(np.array([1, 3]), 2, 1, partition) == pytest.approx(1.25, abs=0.02)
@@ -48,16 +48,16 @@ def test_the_slowest_of_two_devices_has_the_expected_maximum(partition):
 
 def test_partition_by_size_leaves_the_indivisible_rest():
     """Two scenes each, 1 or 3 with even chances: an odd number of large ones, every other time, is 1 over the mean."""
-    assert relative_load(np.array([1, 3]), 2, 2, BySize()) == pytest.approx(4.5 / 4, abs=0.02)
-    assert relative_load(np.array([1, 3]), 2, 2, InOrder()) == pytest.approx(4.75 / 4, abs=0.02)
+    assert relative_load(np.array([1, 3]), 2, 2, BalancedBySize()) == pytest.approx(4.5 / 4, abs=0.02)
+    assert relative_load(np.array([1, 3]), 2, 2, Contiguous()) == pytest.approx(4.75 / 4, abs=0.02)
 
 
 def test_more_scenes_per_device_even_out_and_more_devices_do_not():
     scenes = np.random.default_rng(0).integers(1000, 8000, 100)
-    by_chance = {(n, share): relative_load(scenes, n, share, InOrder()) for n in (2, 8, 32) for share in (1, 4)}
+    by_chance = {(n, share): relative_load(scenes, n, share, Contiguous()) for n in (2, 8, 32) for share in (1, 4)}
     assert 1 < by_chance[2, 1] < by_chance[8, 1] < by_chance[32, 1] < 8 / 4.5 + 0.05
     assert all(by_chance[n, 4] < by_chance[n, 1] for n in (2, 8, 32))
-    assert all(relative_load(scenes, n, 4, BySize()) < 1 + 0.2 * (by_chance[n, 4] - 1) for n in (2, 8, 32))
+    assert all(relative_load(scenes, n, 4, BalancedBySize()) < 1 + 0.2 * (by_chance[n, 4] - 1) for n in (2, 8, 32))
 
 
 def test_a_ring_moves_each_byte_nearly_twice():

@@ -1,8 +1,9 @@
 """The streaming benchmark on small data sets."""
 
+from functools import partial
+
 import numpy as np
 import pytest
-from rfpp.training.dealing import InOrder
 from small_data import REFERENCE, SETTINGS, BoxFamily, make
 
 from rfpp.benchmark.streaming import PAPER_IMAGES_PER_SECOND, measure
@@ -12,7 +13,10 @@ from rfpp.scene.packed import pack
 from rfpp.shards.cache import ShardCache
 from rfpp.shards.dataset import ShardSplit
 from rfpp.shards.manifest import Manifest
+from rfpp.training.batching import Batching
 from rfpp.training.datamodule import SceneDataModule
+from rfpp.training.partition import Contiguous
+from rfpp.training.source import DataSource
 
 
 @pytest.fixture
@@ -20,19 +24,21 @@ def synthetic():
     return SyntheticData(BoxFamily(), SETTINGS, REFERENCE, RenderFarm(workers=1), scenes=3)
 
 
-def datamodule(root, workers):
-    return SceneDataModule(
-        root=root, workers=workers, cache=ShardCache("unused", 1), gbuffer_channels=("albedo",), scenes_per_step=2,
-        scenes_per_device=None, dealing=InOrder(), views_per_scene=2, training_scenes=None, validation_scenes=1,
-        shuffle_shards=4, skip_corrupt=False, rigid_augmentation=None, colour_augmentation=None,
-        light_augmentation=None, seed=0,
-    )  # fmt: skip
+SOURCE = partial(
+    DataSource, cache=ShardCache("unused", 1), training_scenes=None, validation_scenes=0, skip_corrupt=False
+)
+BATCHING = Batching(
+    scenes_per_step=2, scenes_per_device=None, views_per_scene=2, partition=Contiguous(), shuffle_shards=4
+)
+DATAMODULE = partial(SceneDataModule, batching=BATCHING, gbuffer_channels=("albedo",), augmentation={}, seed=0)
 
 
 def test_a_row_for_each_data_set_and_number_of_workers(synthetic, tmp_path):
     finished = make(tmp_path / "stored", splits={"train": 3})
     sources, turns = {"synthetic": synthetic, "stored": str(finished.root)}, []
-    rows = list(measure(sources, datamodule, [0], batches=3, rounds=2, progress=lambda *turn: turns.append(turn)))
+    rows = list(
+        measure(sources, SOURCE, DATAMODULE, [0], batches=3, rounds=2, progress=lambda *turn: turns.append(turn))
+    )
     assert [(row["data"], row["workers"]) for row in rows] == [("synthetic", 0), ("stored", 0)]
     for row in rows:
         assert row["scenes_per_s"] > 0 and row["cpu_ms_per_scene"] > 0

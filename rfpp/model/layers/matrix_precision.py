@@ -17,8 +17,8 @@ _CPU_INSTRUCTIONS = ("amx_bf16", "avx512_bf16", "bf16")
 def matrix_dtype(precision: str, device: torch.device) -> torch.dtype:
     """The dtype of a setting: "bf16", "fp32", or "auto" for bfloat16 where the device has instructions for it.
 
-    Images in bfloat16 differ from those in float32 by a thirtieth of what both differ from the reference
-    (data/results/precision.csv). Raises UserError for another setting.
+    Images in bfloat16 differ from those in float32 by a thirtieth of what both differ from the reference. Raises
+    UserError for another setting.
     """
     if precision == "auto":
         return torch.bfloat16 if _multiplies_bfloat16(device) else torch.float32
