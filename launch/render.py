@@ -23,7 +23,7 @@ from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
 
 from rfpp import Renderer
-from rfpp.commands import CONFIG_DIR, entry_point, settings
+from rfpp.commands import CONFIG_DIR, entry_point, settings, write_config
 from rfpp.errors import UserError
 from rfpp.imaging.tone_maps import ToneMap, tone_map_of
 from rfpp.inference.animation import Animation
@@ -44,7 +44,6 @@ from rfpp.metrics.flip import flip_library
 from rfpp.progress import counting
 from rfpp.reference.cycles import CyclesSettings, require_blender
 from rfpp.scene.packed import PackedScene
-from rfpp.training.config_file import write_config
 from rfpp.training.tracking.registry import checkpoint_file
 
 

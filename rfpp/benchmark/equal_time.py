@@ -44,10 +44,7 @@ def measure(
     of another view (`view_s`) and of the scene with one light source dimmed (`edit_s`).
 
     Args:
-        samplings: Sampling settings of `Renderer.render`, one method each.
-        samples: Sample counts of Cycles, one method each.
         animation: `frames` on an arc around each scene, their `resolution`, and `samples` of the references; or None.
-        cache: Folder of references, which are rendered once.
     """
     scenes = list(exhibits.values())
     references = [_reference(scene, resolution, converged, Path(cache))[0] for scene in scenes]

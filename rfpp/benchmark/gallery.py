@@ -27,9 +27,6 @@ def measure(
 
     All methods are warm, have not rendered the scene before, and run alone. The renderer's time includes ray casting;
     the time of Cycles includes building the scene.
-
-    Args:
-        reference: Settings of the reference, without a denoiser: its errors would be shared by the compared images.
     """
     name = Path(checkpoint).name
     scenes = [[scene] for scene in exhibits.values()]

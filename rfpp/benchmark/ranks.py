@@ -25,7 +25,7 @@ from rfpp.losses.rendering import RenderingLoss
 from rfpp.model.renderformer_pp import RenderFormerPP
 from rfpp.scene.packed import pack
 from rfpp.shards.job import SceneSource
-from rfpp.training.partition import Contiguous, Partition
+from rfpp.training.batching import Contiguous, Partition
 
 RANKS = 2
 #: Steps on different scenes that are timed together.

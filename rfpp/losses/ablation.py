@@ -23,12 +23,7 @@ NO_OPERATOR = "no_operator"
 
 @dataclass(frozen=True)
 class TokenFeatures:
-    """Token features of one batch, as replacements for those of another.
-
-    Attributes:
-        tokens: Features before transport, [N, D].
-        encoded: Features after transport, [N, D].
-    """
+    """Token features of one batch, as replacements for those of another."""
 
     tokens: Float[Tensor, "n width"]
     encoded: Float[Tensor, "n width"]

@@ -113,11 +113,7 @@ class MadeScene:
 class SceneJob:
     """Makes samples; picklable, so that worker processes can run it.
 
-    A sample depends only on its task and these attributes.
-
-    Attributes:
-        reference: Cycles settings; each sample replaces the noise seed.
-        render: renders images; has the signature of `rfpp.reference.cycles.render`.
+    A sample depends only on its task and these attributes; `render` has the signature of `cycles.render`.
     """
 
     family: SceneSource

@@ -93,7 +93,6 @@ class Recipe:
 
         Args:
             groups: JSON-able account of family and reference. Classes count by name, so that code can move.
-            render: Renders images; has the signature of `rfpp.reference.cycles.render`.
         """
         content = {"schema_version": SCHEMA_VERSION, "data": data.content(), **groups}
         settings = _without_modules(json.loads(to_json(content)))

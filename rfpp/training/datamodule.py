@@ -30,7 +30,6 @@ class SceneDataModule(L.LightningDataModule):
     Args:
         gbuffer_channels: Channels that the network reads, in order.
         augmentation: Name → augmentation of training draws, applied in this order; None disables one.
-        workers: Loader processes per device.
     """
 
     def __init__(

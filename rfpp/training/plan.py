@@ -25,13 +25,7 @@ PLAN_KEY = "plan"
 
 @dataclass(frozen=True)
 class TrainingPlan:
-    """Derived settings of a training run.
-
-    Attributes:
-        ranks: Processes of the run, one per device, over all nodes.
-        accumulate_grad_batches: Batches per device and optimizer step.
-        val_check_interval: Batches per device between validations.
-    """
+    """Derived settings of a training run."""
 
     ranks: int
     precision: str

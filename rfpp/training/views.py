@@ -13,7 +13,7 @@ from rfpp.shards.dataset import ShardSplit
 from rfpp.shards.order import ShuffledOrder
 from rfpp.shards.views import read_views
 from rfpp.training.augmentation import Augmentation
-from rfpp.training.partition import Partition
+from rfpp.training.batching import Partition
 
 
 class TrainingViews(Dataset):

@@ -6,16 +6,14 @@ import numpy as np
 import pytest
 from small_data import REFERENCE, SETTINGS, BoxFamily, make
 
-from rfpp.benchmark.streaming import PAPER_IMAGES_PER_SECOND, measure
-from rfpp.benchmark.synthetic_data import SyntheticData, synthetic_images
+from rfpp.benchmark.streaming import PAPER_IMAGES_PER_SECOND, SyntheticData, measure, synthetic_images
 from rfpp.reference.farm import RenderFarm
 from rfpp.scene.packed import pack
 from rfpp.shards.cache import ShardCache
 from rfpp.shards.dataset import ShardSplit
 from rfpp.shards.manifest import Manifest
-from rfpp.training.batching import Batching
+from rfpp.training.batching import Batching, Contiguous
 from rfpp.training.datamodule import SceneDataModule
-from rfpp.training.partition import Contiguous
 from rfpp.training.source import DataSource
 
 

@@ -23,9 +23,8 @@ from rfpp.scene.spec import SceneObject, Transform
 from rfpp.shards.cache import ShardCache
 from rfpp.shards.manifest import Manifest
 from rfpp.training.augmentation import RigidMotion
-from rfpp.training.batching import Batching
+from rfpp.training.batching import BalancedBySize, Batching, Contiguous
 from rfpp.training.datamodule import SceneDataModule
-from rfpp.training.partition import BalancedBySize, Contiguous
 from rfpp.training.source import DataSource
 
 SCENES, PER_STEP, STEPS = 7, 4, 5  # two epochs and six scenes

@@ -12,7 +12,7 @@ from rfpp.shards.dataset import ShardSplit
 from rfpp.shards.order import ShuffledOrder
 from rfpp.shards.views import select_views
 from rfpp.training.augmentation import RigidMotion
-from rfpp.training.partition import BalancedBySize, Contiguous, Partition
+from rfpp.training.batching import BalancedBySize, Contiguous, Partition
 from rfpp.training.views import GlobalBatches, TrainingViews
 
 CHANNELS = ("albedo", "normal", "position")

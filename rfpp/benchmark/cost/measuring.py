@@ -28,11 +28,7 @@ COLUMNS = {*Case.__dataclass_fields__, "compiled", "quantity", "network", "statu
 
 @dataclass(frozen=True)
 class Point:
-    """Measurement of one task in one case by networks that take turns.
-
-    Attributes:
-        networks: Keys of the networks; with several, the first is the baseline.
-    """
+    """Measurement of one task in one case by networks that take turns."""
 
     task: str
     networks: tuple[str, ...]
@@ -42,13 +38,7 @@ class Point:
 
 @dataclass(frozen=True)
 class Rounds:
-    """Number and duration of turns.
-
-    Attributes:
-        count: Turns of each network after a first one that warms up.
-        enough_seconds: No further turn for a network whose turns took this long together.
-        timeout: Maximum seconds per turn.
-    """
+    """Number and duration of turns."""
 
     count: int
     enough_seconds: float | int

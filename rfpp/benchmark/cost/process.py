@@ -42,7 +42,6 @@ class Turn:
     """One execution of a task.
 
     Attributes:
-        seconds: Quantity → seconds.
         peak: Maximum of bytes held by weights, batch, activations, gradients and moments so far.
         held: Part of `peak` that was allocated before the first execution.
     """

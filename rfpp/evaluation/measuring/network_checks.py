@@ -20,9 +20,6 @@ from rfpp.shards.views import select_views
 def ablation_growth(network: nn.Module, split: ShardSplit, device: torch.device, scenes: int) -> dict[str, float]:
     """Measure the relative growth of log-L1 by ablation (`rfpp.losses.ablation`).
 
-    Args:
-        scenes: Maximum number of scenes; the first ones of the split are used.
-
     Returns:
         Growth by ablation; empty for fewer than two scenes.
     """

@@ -19,12 +19,7 @@ Groups = Mapping[str, tuple[str, ...]]
 
 @dataclass(frozen=True)
 class Column:
-    """One group of columns in one row.
-
-    Attributes:
-        means: Estimates by metric, over splits, data sets and seeds; empty if one of them is missing.
-        deviations: Standard deviation over seeds by metric; empty for a single seed.
-    """
+    """One group of columns in one row."""
 
     means: Estimates
     deviations: Mapping[str, float]

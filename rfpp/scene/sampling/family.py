@@ -11,7 +11,7 @@ from rfpp.errors import SceneError
 from rfpp.scene.mesh import Mesh, joined
 from rfpp.scene.sampling.backgrounds import Background, BackgroundSampler
 from rfpp.scene.sampling.cameras import CameraSampler
-from rfpp.scene.sampling.interval import Interval, freeze_intervals, uniform_integer
+from rfpp.scene.sampling.interval import HasIntervals, Interval, uniform_integer
 from rfpp.scene.sampling.lights import LightSampler
 from rfpp.scene.sampling.materials import MaterialSampler
 from rfpp.scene.sampling.objects.object_source import ObjectSource
@@ -20,21 +20,16 @@ from rfpp.scene.spec import Camera, Scene, SceneObject
 
 
 @dataclass(frozen=True)
-class TriangleBudget:
+class TriangleBudget(HasIntervals):
     """Numbers of objects and triangles of a scene.
 
     Attributes:
         scene: triangles, including background and lights.
-        objects: number of objects, without background and lights.
-        per_object: triangles of an object.
     """
 
     scene: Interval
     objects: Interval
     per_object: Interval
-
-    def __post_init__(self) -> None:
-        freeze_intervals(self)
 
     def sample(self, rng: np.random.Generator, taken: int) -> Int[np.ndarray, " objects"]:
         """Draw even triangle counts of the objects of a scene, given `taken` triangles of background and lights.

@@ -18,9 +18,6 @@ class AblationMonitor(L.Callback):
 
     Metrics: `ablation/other_tokens`, `ablation/other_encoded_tokens` and `ablation/no_operator`. With several
     processes, only rank 0's scenes are measured.
-
-    Args:
-        scenes: Maximum number of validation scenes, besides the first.
     """
 
     def __init__(self, scenes: int):

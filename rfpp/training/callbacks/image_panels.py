@@ -24,9 +24,6 @@ class ImagePanels(L.Callback):
 
     `panels-000150.png`, after step 150: reference, prediction, signed error, and albedo if the network reads it.
     `bounces-000150.png`: the image decoded after each application of the transport operator, if the network has one.
-
-    Args:
-        scenes: Number of validation scenes, the first view of each.
     """
 
     def __init__(self, folder: str, scenes: int):

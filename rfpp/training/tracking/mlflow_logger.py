@@ -24,7 +24,6 @@ class MlflowLogger(RunLogger):
 
     Args:
         folder: Folder of the store if there is no server.
-        tracking_uri: URI of an MLflow server, or None.
         patience: Seconds to wait for MLflow at the start, for the run's id, and at the end.
     """
 

@@ -43,9 +43,7 @@ class MlflowRun:
 
     Attributes:
         folder_id: Id of the run folder, the value of FOLDER_TAG.
-        tracking_uri: URI of a server or a database.
         artifact_location: Folder of the experiment's artifacts; None if the server decides.
-        run_id: MLflow's id; None until the run has been created.
         sent: Bytes of the journal that MLflow has received.
     """
 
@@ -73,11 +71,7 @@ class MlflowRun:
 
     @classmethod
     def load(cls, path: Path) -> MlflowRun:
-        """Read the file of a run folder.
-
-        Raises:
-            UserError: If the file is missing or damaged.
-        """
+        """Read the file of a run folder."""
         try:
             return cls(**json.loads(path.read_bytes()))
         except (OSError, ValueError, TypeError) as error:

@@ -16,7 +16,6 @@ def checkpoint_file(checkpoint: str, tracking_uri: str | None, folder: Path) -> 
     """Resolve `models:/<name>/<version>` or `models:/<name>/latest` to a file. Other strings are returned unchanged.
 
     Args:
-        tracking_uri: URI of the MLflow server, or None for the store in `folder`.
         folder: Folder to download to, as `registered/<name>/<version>/checkpoints`.
 
     Raises:
