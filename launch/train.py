@@ -63,7 +63,7 @@ def main(cfg: DictConfig) -> Path | None:
     if checkpointing := instantiate(cfg.get("activation_checkpointing")):
         checkpointing(network)
     datamodule = instantiate(cfg.datamodule, gbuffer_channels=network.gbuffer_channels, _convert_="all")
-    plan = plan_training(cfg.trainer, datamodule.accumulation, resumed)
+    plan = plan_training(cfg.trainer, datamodule.batching.accumulation, resumed)
     config = OmegaConf.to_container(cfg, resolve=True) | {PLAN_KEY: asdict(plan)}
     logger = instantiate(cfg.logger)
     info = CheckpointInfo(

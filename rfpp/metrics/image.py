@@ -32,11 +32,7 @@ Function = Callable[[Images, Images], PerImage]
 
 @dataclass(frozen=True)
 class Metric:
-    """Description of a metric.
-
-    Attributes:
-        definition: Formula with tone map and epsilon.
-    """
+    """Description of a metric."""
 
     label: str
     higher_is_better: bool

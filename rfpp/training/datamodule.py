@@ -52,10 +52,6 @@ class SceneDataModule(L.LightningDataModule):
         """Manifest of the data; raises ShardError like `DataSource.manifest`."""
         return self.source.manifest
 
-    def accumulation(self, devices: int) -> int:
-        """See `Batching.accumulation`."""
-        return self.batching.accumulation(devices)
-
     @property
     def scenes_per_batch(self) -> int:
         """Scenes per device and batch, if all are readable."""

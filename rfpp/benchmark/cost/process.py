@@ -39,12 +39,7 @@ class NotMeasuredError(Exception):
 
 @dataclass(frozen=True)
 class Turn:
-    """One execution of a task.
-
-    Attributes:
-        peak: Maximum of bytes held by weights, batch, activations, gradients and moments so far.
-        held: Part of `peak` that was allocated before the first execution.
-    """
+    """One execution of a task."""
 
     seconds: dict[str, float]
     peak: int

@@ -41,10 +41,6 @@ class Background:
     transforms: tuple[Transform, ...]
     open_region: OpenRegion
 
-    @property
-    def triangle_count(self) -> int:
-        return sum(map(len, self.meshes))
-
 
 @dataclass(frozen=True)
 class PanelJitter(HasIntervals):

@@ -104,7 +104,7 @@ class SceneFamily:
         streams = scene_rng.spawn(7)
         background = self.backgrounds.sample(streams[0])
         lights = self.lights.sample(streams[1], background.open_region)
-        targets = self.budget.sample(streams[2], taken=background.triangle_count + len(lights))
+        targets = self.budget.sample(streams[2], taken=sum(map(len, background.meshes)) + len(lights))
         drawn = [self.objects.sample(streams[3], int(target), held_out) for target in targets]
         transforms = self.placement.sample(streams[4], [joined(parts) for parts in drawn], background.open_region)
         objects = [
