@@ -160,7 +160,7 @@ def test_missing_data_names_the_command_that_makes_it(tmp_path, composed, refuse
 def test_what_the_command_line_must_give(composed, refused):
     from launch.render import main
 
-    assert "scene is not given" in refused(main, composed("render"))
+    assert "scene is missing" in refused(main, composed("render"))
 
 
 @pytest.mark.parametrize("verb", ["generate", "train", "evaluate", "render"])
