@@ -1,8 +1,9 @@
 """Cells: a scene's surfaces as a few hundred patches between which light is exchanged, as in radiosity.
 
 Light that arrives at a cell leaves it in all directions alike, except for what its glossy lobe sends back along the
-rays of others. Direct light is known for each cell, with shadows. Form factors are the ends of cosine-distributed rays
-(Goral et al. 1984; Malley 1988).
+rays of others. Form factors are the ends of cosine-distributed rays (Goral et al. 1984; Malley 1988). Direct light is
+evaluated where these rays end, never taken from the mean of a cell, because it varies within cells near lights and at
+shadows; only light that has bounced before moves between cells.
 """
 
 from __future__ import annotations
@@ -24,8 +25,8 @@ class Cells:
     Attributes:
         diffuse: Mean diffuse albedo.
         specular: Mean specular albedo.
-        direct: Irradiance / π from the emitters, with shadows.
-        highlights: Irradiance / π from the emitters by way of one glossy lobe.
+        direct: Irradiance / π from the emitters, with shadows; for light that reaches a ray by way of two surfaces.
+        bounced: Irradiance / π from the surfaces in which the cell's rays end, as the emitters light them.
         hits: Cells in which RAYS cosine-distributed rays end; NOWHERE where a ray escapes.
         onward: Cells in which those rays end after one glossy reflection (`rfpp.radiosity.ray_ends`); NOWHERE if none.
     """
@@ -33,7 +34,7 @@ class Cells:
     diffuse: Float[np.ndarray, "c 3"]
     specular: Float[np.ndarray, "c 3"]
     direct: Float[np.ndarray, "c 3"]
-    highlights: Float[np.ndarray, "c 3"]
+    bounced: Float[np.ndarray, "c 3"]
     hits: Int[np.ndarray, "c rays"]
     onward: Int[np.ndarray, "c rays"]
 

@@ -47,6 +47,7 @@ class LightSampler:
         share = power / np.bincount(light, power)[light] if len(light) else power
         facing = cross / size[:, None]
         solid, flat = np.zeros(len(count), np.bool_), count == 1
+        even = np.array([np.ptp(radiance[light == number], axis=0).max() == 0 for number in range(len(count))], bool)
         others = triangles.positions[~triangles.is_emissive, 0]
         for number in np.flatnonzero((count > 1) & (count <= _FORMULA_UP_TO)):
             own = light == number
@@ -68,10 +69,11 @@ class LightSampler:
             facing=facing,
             radiance=radiance,
             steps=np.concatenate([np.zeros(0), *(np.cumsum(share[light == number]) for number in range(len(count)))]),
-            density=share / area,
+            area=area,
+            share=share,
             first=np.concatenate([[0], np.cumsum(count)]),
             shining=np.ones(len(count), np.bool_),
-            exact=solid | flat,
+            exact=(solid | flat) & even,
             solid=solid,
             middle=middle,
             reach=reach,
