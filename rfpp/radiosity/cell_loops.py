@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from rfpp.radiosity.cell_table import NOWHERE, CellTable, key_at
+from rfpp.radiosity.cell_table import NOWHERE, CellTable, cell_at
 from rfpp.raycast.compiled import compiled, int64
 from rfpp.raycast.counted_random import Key, key_of, uniform
 from rfpp.raycast.ggx import lobe_and_pdf
@@ -268,5 +268,4 @@ def _of_lattice(number: int, count: int, key: Key) -> tuple[float, float]:
 def _cell_met(scene: LitScene, table: CellTable, triangle: int, way: Vector, point: Vector) -> int:
     a, b, c = scene.positions[triangle]
     back = dot(normal_of(triple(a), triple(b), triple(c)), way) > 0
-    cell: int = table.cell[key_at(table, triangle, point, back)]
-    return cell
+    return cell_at(table, triangle, point, back)

@@ -15,7 +15,9 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from rfpp.radiosity.cell_grid import CellGrid
-from rfpp.radiosity.cell_table import CellTable
+from rfpp.radiosity.cell_splits import CellSplits
+from rfpp.radiosity.cell_table import CellTable, cells_each
+from rfpp.raycast.threads import over_rows
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,21 +51,24 @@ class CellMap:
     Attributes:
         grid: Grid that divides the scene.
         keys: Keys of the grid, ascending.
-        cell: Cell of each key; NOWHERE for those that no light can reach.
+        cell: Cell or split of each key; NOWHERE for those that no light can reach.
+        splits: Planes that divide cells.
     """
 
     grid: CellGrid
     keys: Int[np.ndarray, " k"]
     cell: Int[np.ndarray, " k"]
+    splits: CellSplits
 
     def at(
         self, triangle: Int[np.ndarray, " r"], point: Float[np.ndarray, "r 3"], back: np.ndarray
     ) -> Int[np.ndarray, " r"]:
         """Return the cell of each point on the front or the back of a triangle."""
-        found: np.ndarray = self.table.cell[self.grid.keys(triangle, point, back)]
+        found = np.empty(len(triangle), np.int64)
+        over_rows(len(found), cells_each, self.table, triangle, point, back, found)
         return found
 
     @cached_property
     def table(self) -> CellTable:
         """Arrays for compiled loops."""
-        return self.grid.table(self.keys, self.cell)
+        return self.grid.table(self.keys, self.cell, self.splits)
