@@ -6,6 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Float
+from scipy.ndimage import binary_dilation
 
 from rfpp.errors import MissingDependencyError
 from rfpp.raycast.raycast import RayCaster
@@ -57,13 +58,14 @@ def render(scene: PackedScene, resolution: int, samples: int, seed: int = 0) -> 
 
 
 def sees_emitters(scene: PackedScene, view: int, resolution: int) -> np.ndarray:
-    """Return a mask [H, W] of the pixels in which Mitsuba shows a light, which our cameras look through."""
+    """Return a mask [H, W] of the pixels in or beside which Mitsuba shows a light, which our cameras look through."""
     c2w = scene.c2w[view].astype(np.float64)
     plane = pixel_plane(resolution, resolution).reshape(-1, 2) * np.tan(np.radians(float(scene.fov[view])) / 2)
     directions = np.concatenate([plane, -np.ones((len(plane), 1))], axis=1) @ c2w[:3, :3].T
     directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
     hit = RayCaster(scene.triangles.positions).cast(np.tile(c2w[:3, 3], (len(plane), 1)), directions).triangle
-    return (np.append(scene.triangles.is_emissive, False)[hit]).reshape(resolution, resolution)
+    emissive = np.append(scene.triangles.is_emissive, False)[hit].reshape(resolution, resolution)
+    return binary_dilation(emissive, np.ones((3, 3)))
 
 
 def _shapes(mitsuba, scene: PackedScene) -> dict[str, object]:

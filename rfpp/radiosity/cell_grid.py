@@ -15,7 +15,7 @@ from rfpp.raycast.threads import over_rows
 from rfpp.scene.triangles import SceneTriangles
 
 #: Half an object is cut into so many pieces along an axis that they are about this long, in world units.
-CELL_EDGE = 0.2
+CELL_EDGE = 0.1
 #: Triangles up to which edges are looked for, and the cosine between two normals below which they meet at a crease.
 _MOST_TRIANGLES, _CREASE = 4096, 0.87
 #: Moments that differ by less than this share are of a symmetric object, whose axes they do not tell.

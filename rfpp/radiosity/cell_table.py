@@ -13,7 +13,7 @@ from rfpp.raycast.vectors import Vector, dot, triple
 #: What a ray's end is called that meets no cell.
 NOWHERE = -1
 #: Half an object is cut into so many pieces along an axis at most.
-MOST_PIECES = 4
+MOST_PIECES = 10
 #: An object that reaches less far along an axis than this share of its greatest reach is flat.
 FLAT = 1e-4
 #: Directions of a triangle in its object's axes: forwards or backwards along one of three; and its two sides.
