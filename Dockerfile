@@ -21,6 +21,8 @@ ENV PATH=/opt/venv/bin:$PATH
 ARG PIP_EXTRA_INDEX_URL
 COPY . /opt/rfpp
 RUN pip install --no-cache-dir -c /opt/rfpp/requirements.lock '/opt/rfpp[all]'
+# The VGG16 weights of LPIPS, for training and evaluation.
+RUN rfpp weights
 # Compiles the loops over rays, which every new container would do otherwise. Another processor compiles them anew.
 RUN rfpp render scene=/opt/rfpp/data/scenes/cornell_box.json cameras=0 resolution=16 output=/tmp/compiled \
     && rm -r /tmp/compiled

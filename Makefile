@@ -28,7 +28,7 @@ quickstart: install
 	$(RUN) launch/generate.py $(EXPERIMENT)
 	$(RUN) launch/train.py $(EXPERIMENT) run_dir=$(TRAINED)
 	$(RUN) launch/render.py scene=data/scenes/cornell_box.json checkpoint=$(TRAINED)/checkpoints/best.ckpt \
-		against=rfpp-tiny output=data/renders reference=true
+		against=radiosity output=data/renders reference=true
 	$(RUN) launch/evaluate.py $(EXPERIMENT) checkpoint=$(TRAINED)/checkpoints/best.ckpt
 	@echo
 	@echo "Pictures        data/renders/cornell_box_0_comparison.png, $(TRAINED)/evaluation/*.png"

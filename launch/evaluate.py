@@ -33,7 +33,7 @@ from rfpp.evaluation.tables.terminal import results_table
 from rfpp.evaluation.tracked_results import log_to_training_run, results_folder
 from rfpp.inference.renderer import Renderer
 from rfpp.metrics.image import ImageMetrics
-from rfpp.metrics.lpips import LPIPS
+from rfpp.metrics.lpips import LPIPS, load_trunk
 from rfpp.progress import progress_bars
 from rfpp.shards.dataset import ShardSplit
 from rfpp.training.config_file import write_config
@@ -52,7 +52,7 @@ def main(cfg: DictConfig) -> list[Evaluation]:
     splits = [ShardSplit(cfg.data.root, name, cache) for name in cfg.evaluation.splits]
     outputs = _outputs(checkpoints, cfg.output, splits[0].manifest.name)
     device = torch.device(cfg.device or ("cuda" if torch.cuda.is_available() else "cpu"))
-    lpips = LPIPS.pretrained(cfg.loss.lpips_trunk_path) if cfg.evaluation.lpips else None
+    lpips = LPIPS(load_trunk()) if cfg.evaluation.lpips else None
     metrics = ImageMetrics(lpips, cfg.evaluation.detailed)
     baselines = fitted_baselines(ShardSplit(cfg.data.root, "train", cache), cfg.evaluation.baseline_scenes)
     records = []

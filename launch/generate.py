@@ -29,7 +29,7 @@ from rfpp.imaging.panels import save_picture
 from rfpp.progress import counting
 from rfpp.scene.sampling.objects.library import INDEX, Library
 from rfpp.scene.sampling.objects.library_building import prepare
-from rfpp.scene.sampling.objects.prepared import PreparedObjects
+from rfpp.scene.sampling.objects.library_objects import LibraryObjects
 from rfpp.shards.dataset import find_sample
 from rfpp.shards.export import export
 from rfpp.shards.generation import make, merge
@@ -76,7 +76,7 @@ def _prepare(cfg: DictConfig, console: Console) -> list[Library]:
     return [_prepared(source, cfg, console) for source in sources]
 
 
-def _prepared(source: PreparedObjects, cfg: DictConfig, console: Console) -> Library:
+def _prepared(source: LibraryObjects, cfg: DictConfig, console: Console) -> Library:
     with counting(console, "objects") as (show, _), instantiate(cfg.farm) as farm:
         library = prepare(source, farm.map, show)
     counts = ", ".join(f"{count} {name}" for name, count in library.index.counts.items())

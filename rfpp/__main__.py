@@ -1,4 +1,4 @@
-"""The commands of launch/ wherever the package is: `rfpp train …` is `python launch/train.py …`."""
+"""Run a file of launch/ by name: `rfpp train …` is `python launch/train.py …`."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ import sys
 
 from rfpp.folders import carried
 
-#: One file for each command.
+#: Folder with one file per command.
 FOLDER = carried("launch", "_launch")
 
 
 def main() -> int:
-    """Run the command that the command line names; returns the exit status where none is run."""
+    """Run the command named on the command line; return the exit status if there is none."""
     files = {file.stem: file for file in sorted(FOLDER.glob("*.py"))}
     name = sys.argv[1] if len(sys.argv) > 1 else "--help"
     if name in ("-h", "--help"):
@@ -25,8 +25,7 @@ def main() -> int:
     if name not in files:
         print(f"error: rfpp {name}: no such command: choose from {', '.join(files)}", file=sys.stderr)
         return 1
-    # As `python launch/<name>.py` would see them: Lightning starts further processes by this path.
-    sys.argv = [str(files[name]), *sys.argv[2:]]
+    sys.argv = [str(files[name]), *sys.argv[2:]]  # Lightning starts further processes by this path
     runpy.run_path(str(files[name]), run_name="__main__")
     return 0
 

@@ -1,4 +1,4 @@
-"""Shared by all files in launch/: Hydra composition and one-line messages for user errors."""
+"""Hydra composition and one-line error messages for all files in launch/."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import functools
 import os
 import sys
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NoReturn, TypeVar
 
@@ -15,7 +15,7 @@ import hydra
 from hydra.errors import ConfigCompositionException, InstantiationException, OverrideParseException
 from omegaconf import DictConfig, OmegaConf
 
-import rfpp.interrupts  # noqa: F401 (what ends a command from outside is said in one line)
+import rfpp.interrupts  # noqa: F401 (one-line messages for Ctrl-C and missing extras)
 from rfpp.allocator import keep_freed_memory
 from rfpp.errors import UserError
 from rfpp.extras import missing_extra
@@ -23,17 +23,15 @@ from rfpp.folders import carried
 
 Result = TypeVar("Result")
 
-#: The ways in which a disk can be full: no space, quota used up, file-size limit reached.
+#: Errors of a full disk: no space, quota used up, file-size limit reached.
 NO_SPACE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-#: SQLite's words for it, which reach us in an exception of MLflow's.
+#: SQLite's message for a full disk, which MLflow raises in an exception of its own.
 SQLITE_NO_SPACE = "database or disk is full"
 
-#: What a constructor raises that is given a value or a key it cannot take.
-_IMPOSSIBLE_VALUES = (ValueError, TypeError, ArithmeticError, RuntimeError)
-#: Groups that had no default once and were added with a plus.
-_ONCE_ADDED = ("+experiment=", "+debug=")
+#: Exceptions of constructors that receive an invalid value or an unknown key.
+_INVALID_VALUE = (ValueError, TypeError, ArithmeticError, RuntimeError)
 
-#: Hydra's primary configurations and groups.
+#: Folder of Hydra's primary configurations and groups.
 CONFIG_DIR = carried("conf", "_conf")
 
 
@@ -42,8 +40,8 @@ def entry_point(
 ) -> Callable[[Callable[[DictConfig], Result]], Callable[[], Result]]:
     """Decorate `task(cfg)` into a command that composes `<config_dir>/<config_name>.yaml` and the command line.
 
-    A `UserError` is printed as one line on stderr and the process exits with status 1. The undecorated task
-    stays available as `command.__wrapped__` for callers that have composed a config themselves.
+    A `UserError` is printed as one line on stderr and the process exits with status 1. The undecorated task is
+    available as `command.__wrapped__`.
     """
 
     def decorate(task: Callable[[DictConfig], Result]) -> Callable[[], Result]:
@@ -55,17 +53,17 @@ def entry_point(
                 return task(cfg)
             except UserError as error:
                 _fail(error)
-            except InstantiationException as error:  # Hydra's wrapping of what a constructor raised
+            except InstantiationException as error:  # Hydra's wrapping of a constructor's exception
                 if isinstance(reason := missing_extra(error) or error.__cause__, UserError):
                     _fail(reason)
-                if not isinstance(reason, _IMPOSSIBLE_VALUES):
+                if not isinstance(reason, _INVALID_VALUE):
                     raise
                 _fail(UserError(f"{str(error).rpartition('full_key: ')[2]}: {reason}"))
-            except OSError as error:  # out of the hands of a library that was writing
+            except OSError as error:  # raised by a library while writing
                 if error.errno not in NO_SPACE:
                     raise
-                where = error.filename or "while writing"
-                _fail(UserError(f"{where}: {error.strerror}: free some space and run the same command again"))
+                place = error.filename or "while writing"
+                _fail(UserError(f"{place}: {error.strerror}: free some space and run the same command again"))
             except Exception as error:
                 if missing := missing_extra(error):
                     _fail(missing)
@@ -77,8 +75,7 @@ def entry_point(
 
         @functools.wraps(reporting)
         def command() -> Result:
-            sys.argv[1:] = without_plus(sys.argv[1:])
-            os.environ["HYDRA_FULL_ERROR"] = "1"  # Hydra then leaves its errors to us, and a defect its whole traceback
+            os.environ["HYDRA_FULL_ERROR"] = "1"  # Hydra then raises its errors, and keeps tracebacks of defects
             try:
                 return composed()
             except (ConfigCompositionException, OverrideParseException) as error:
@@ -87,11 +84,6 @@ def entry_point(
         return command
 
     return decorate
-
-
-def without_plus(arguments: Sequence[str]) -> list[str]:
-    """The command line with `experiment=…` for `+experiment=…`, which Hydra refuses for a group that has a default."""
-    return [given[1:] if given.startswith(_ONCE_ADDED) else given for given in arguments]
 
 
 def _fail(error: UserError) -> NoReturn:
@@ -104,20 +96,21 @@ def _one_line(message: Warning | str, category: type[Warning], *_: object) -> st
 
 
 def required(cfg: DictConfig, key: str) -> Any:
-    """A value that only the command line can give. Raises UserError when it is missing."""
+    """Return a value that only the command line gives. Raises UserError if it is missing."""
     if OmegaConf.is_missing(cfg, key):
-        raise UserError(f"{key} is not given: add {key}=… to the command line")
+        raise UserError(f"{key} is missing: add {key}=… to the command line")
     return cfg[key]
 
 
 def settings(group: str, key: str, name: str) -> DictConfig:
-    """conf/<group>/<name>.yaml, for a key of the command line whose value is such a name.
+    """Load conf/<group>/<name>.yaml with its defaults, for a key of the command line that holds such a name.
 
-    Raises UserError with the names there are.
+    Raises:
+        UserError: If there is no such file; lists the names.
     """
     files = {file.stem: file for file in sorted((CONFIG_DIR / group).glob("*.yaml"))}
     if name not in files:
         raise UserError(f"{key}={name}: choose from {', '.join(files)}")
     chosen = OmegaConf.load(files[name])
-    of_group = [parent for parent in chosen.pop("defaults", ["_self_"]) if parent != "_self_"]
-    return OmegaConf.merge(*(settings(group, key, parent) for parent in of_group), chosen)
+    parents = [parent for parent in chosen.pop("defaults", ["_self_"]) if parent != "_self_"]
+    return OmegaConf.merge(*(settings(group, key, parent) for parent in parents), chosen)

@@ -8,9 +8,9 @@ from rfpp.errors import MissingDependencyError
 EXTRAS = {
     "fast_simplification": "data",
     "h5py": "data",
+    "lpips": "training",
     "manifold3d": "data",
     "skimage": "data",
-    "webdataset": "data",
     "matplotlib": "evaluation",
     "mlflow": "tracking",
     "viser": "viewer",

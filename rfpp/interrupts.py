@@ -1,7 +1,7 @@
-"""What a command says to Ctrl-C, from its first import on.
+"""One-line messages for Ctrl-C and for libraries that are not installed.
 
-Importing this sets Python's hook for uncaught exceptions, so only commands do. It imports nothing that takes long:
-files in launch/ import it first, and Ctrl-C is answered in one line while they import the rest.
+Importing this sets Python's hook for uncaught exceptions, so only commands import it, before anything that takes long
+to import.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ from types import TracebackType
 from rfpp.extras import missing_extra
 
 
-def _uncaught(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
-    """What ends a command from outside, or before it begins: Ctrl-C, and a library that its file cannot import."""
+def _report(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
+    """Print an exception that no command has caught."""
     if issubclass(kind, KeyboardInterrupt):  # Python then ends by the signal, as shells expect
         print(f"interrupted: {str(error) or 'run the same command again'}", file=sys.stderr)
     elif missing := missing_extra(error):
@@ -22,4 +22,4 @@ def _uncaught(kind: type[BaseException], error: BaseException, trace: TracebackT
         sys.__excepthook__(kind, error, trace)
 
 
-sys.excepthook = _uncaught
+sys.excepthook = _report

@@ -1,4 +1,4 @@
-"""What all commands share."""
+"""Composition and error messages of all commands."""
 
 import re
 import signal
@@ -9,37 +9,17 @@ from pathlib import Path
 import pytest
 from hydra.utils import instantiate
 
-from rfpp.commands import entry_point, settings, without_plus
+from rfpp.commands import entry_point, settings
 from rfpp.errors import UserError
 
 ROOT = Path(__file__).parents[1]
 
 
-def test_a_plus_before_experiment_and_debug_is_dropped():
-    given = [
-        "-m",
-        "+experiment=[ablation,linear_light]",
-        "experiment=quickstart",
-        "+debug=cpu",
-        "+x=+experiment=a",
-    ]
-    assert without_plus(given) == [
-        "-m", "experiment=[ablation,linear_light]", "experiment=quickstart", "debug=cpu", "+x=+experiment=a"
-    ]  # fmt: skip
-
-
-def test_settings_by_name_hold_what_they_are_based_on():
+def test_settings_by_name_include_their_defaults():
     unclamped, preview = (settings("reference", "reference_settings", name) for name in ("unclamped", "preview"))
     assert unclamped == {**preview, "samples": 32, "clamp_indirect": 0.0} and preview.samples == 16
     with pytest.raises(UserError, match=r"reference_settings=best: choose from paper, preview, training, unclamped"):
         settings("reference", "reference_settings", "best")
-
-
-def test_the_command_line_takes_a_plus():
-    """Hydra itself refuses it for a group that has a default."""
-    command = [sys.executable, "launch/generate.py", "+experiment=quickstart", "--cfg", "job"]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
-    assert "name: quickstart" in done.stdout
 
 
 @pytest.mark.parametrize(
@@ -50,7 +30,7 @@ def test_the_command_line_takes_a_plus():
         ("calendar.share.denominator=0", "error: calendar.share: Fraction.*0.*\n"),
     ],
 )
-def test_a_value_that_a_constructor_refuses_is_said_in_one_line(given, said, tmp_path, monkeypatch, capsys):
+def test_an_invalid_value_is_reported_in_one_line(given, said, tmp_path, monkeypatch, capsys):
     (tmp_path / "conf").mkdir()
     (tmp_path / "conf" / "days.yaml").write_text(
         "calendar:\n  first: {_target_: datetime.date, year: 2026, month: 1, day: 1}\n"
@@ -70,16 +50,16 @@ def test_an_interrupted_command_ends_with_one_line_and_by_the_signal():
     assert done.returncode == -signal.SIGINT
 
 
-#: Every command but training, which remembers Ctrl-C and goes on to its first step.
+#: Every command but training, which handles Ctrl-C itself.
 COMMANDS = sorted(file.stem for file in (ROOT / "launch").glob("*.py") if file.stem != "train")
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_control_c_while_a_command_is_imported_is_said_in_one_line(command):
+def test_control_c_during_imports_prints_one_line(command):
     program = f"""
 import os, runpy, signal, sys
 
-class ControlC:  # when the first library is looked for
+class ControlC:  # at the first import of a library
     def find_spec(self, name, path, target=None):
         if name in ("hydra", "numpy", "omegaconf", "rich", "torch", "lightning"):
             os.kill(os.getpid(), signal.SIGINT)

@@ -1,41 +1,38 @@
-"""The perceptual loss: LPIPS between tone-mapped images, with gradient to the prediction."""
+"""Perceptual loss: LPIPS between tone-mapped images, with gradient to the prediction."""
 
 from __future__ import annotations
-
-from pathlib import Path
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from rfpp.imaging.radiance import log_decode, perceptual
-from rfpp.metrics.lpips import LPIPS
+from rfpp.metrics.lpips import LPIPS, load_trunk
 
 
 class PerceptualLoss:
-    """mean LPIPS of clamp(log2(1 + I), 0, 1) scaled to [-1, 1] (paper, training objective).
+    """Mean LPIPS of clamp(log2(1 + I), 0, 1) scaled to [-1, 1] (paper, training objective).
 
     Not an `nn.Module`, so that the trunk is neither trained nor saved with the model; see `LPIPS`.
 
     Args:
-        images_per_step: read at most this many images of a batch, the first ones, at full resolution; None reads all.
-            Where a step has several batches, on several devices or one after the other, so many of each.
-        trunk_path: VGG16 weights to use instead of the cached or fetched ones.
+        images_per_step: Images of a batch to read at most, the first ones, at full resolution; None reads all. It
+            counts per batch if a step has several, because of several devices or gradient accumulation.
 
     Raises:
-        MissingDependencyError: no trunk weights can be had.
+        MissingDependencyError: If the weights are not in the user cache.
     """
 
-    def __init__(self, images_per_step: int | None = None, trunk_path: Path | str | None = None) -> None:
+    def __init__(self, images_per_step: int | None = None) -> None:
         if images_per_step is not None and images_per_step < 1:
-            raise ValueError(f"images_per_step must be at least 1, got {images_per_step}; to leave LPIPS out, weight 0")
+            raise ValueError(f"images_per_step must be at least 1, got {images_per_step}; a weight of 0 omits LPIPS")
         self.images_per_step = images_per_step
-        self._lpips = LPIPS.pretrained(trunk_path)
+        self._lpips = LPIPS(load_trunk())
 
     def __call__(
         self, predicted_log: Float[Tensor, "*images 3 h w"], target_radiance: Float[Tensor, "*images 3 h w"]
     ) -> Float[Tensor, ""]:
-        """Unweighted loss of the network's log10(1 + radiance) against linear radiance, in float32."""
+        """Compute the unweighted loss of log10(1 + radiance) against linear radiance, in float32."""
         prediction = predicted_log.flatten(0, -4)[: self.images_per_step]  # [n, 3, h, w]
         target = target_radiance.flatten(0, -4)[: self.images_per_step]
         with torch.autocast(prediction.device.type, enabled=False):

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 from jaxtyping import Float
 from torch import Tensor, nn
 
@@ -18,7 +16,7 @@ class RenderingLoss(nn.Module):
 
     Args:
         l1_weight, lpips_weight, consistency_weight: the paper's 1, 0.05 and 0.1; a weight of 0 leaves LPIPS out.
-        lpips_images_per_step, lpips_trunk_path: see PerceptualLoss.
+        lpips_images_per_step: see PerceptualLoss.
         consistency_stop_gradient: see TransportConsistency.
     """
 
@@ -28,12 +26,11 @@ class RenderingLoss(nn.Module):
         lpips_weight: float,
         consistency_weight: float,
         lpips_images_per_step: int | None,
-        lpips_trunk_path: Path | str | None,
         consistency_stop_gradient: bool,
     ):
         super().__init__()
         self.l1_weight, self.lpips_weight, self.consistency_weight = l1_weight, lpips_weight, consistency_weight
-        self.perceptual = PerceptualLoss(lpips_images_per_step, lpips_trunk_path) if lpips_weight > 0 else None
+        self.perceptual = PerceptualLoss(lpips_images_per_step) if lpips_weight > 0 else None
         self.consistency = TransportConsistency(consistency_stop_gradient)
 
     def forward(

@@ -1,6 +1,7 @@
 """Image metrics, one value per image, on linear HDR radiance.
 
-`METRICS` states the formula of each metric, its direction, its tone map and its epsilon.
+`METRICS` states the formula of each metric, its direction, its tone map and its epsilon. Metrics have no state; callers
+average the values over views, scenes and devices.
 """
 
 from __future__ import annotations
@@ -12,11 +13,11 @@ from types import MappingProxyType
 import torch
 from jaxtyping import Float
 from torch import Tensor
-from torchmetrics.functional.image import structural_similarity_index_measure
+from torchmetrics.functional.image import peak_signal_noise_ratio, structural_similarity_index_measure
 
 from rfpp.imaging.radiance import log_encode, perceptual
 from rfpp.metrics.l1_parts import GLOSSY, SMOOTH, l1_parts
-from rfpp.metrics.lpips import LPIPS
+from rfpp.metrics.lpips import LPIPS, TRUNK_SHA256
 
 #: Bounds the relative error of nearly black pixels.
 MAPE_EPS = 0.01
@@ -56,7 +57,7 @@ METRICS = MappingProxyType(
         "log_l1": Metric("log-L1", False, "mean |log10(1 + x) - log10(1 + y)|", 4),
         "l1": Metric("L1", False, "mean |x - y|, linear HDR", 4),
         "mape": Metric("MAPE", False, f"mean |x - y| / (|y| + {MAPE_EPS}), linear HDR", 4),
-        "lpips": Metric("LPIPS", False, f"VGG16 v0.1 on {TONE_MAP} scaled to [-1, 1]", 4),
+        "lpips": Metric("LPIPS", False, f"v0.1, VGG16 {TRUNK_SHA256[:8]}, on {TONE_MAP} scaled to [-1, 1]", 4),
         "ssim": Metric("SSIM", True, f"11x11 Gaussian, sigma 1.5, range 1, mirrored border, on {TONE_MAP}", 4),
         "psnr": Metric("PSNR", True, f"dB, peak 1, on {TONE_MAP}", 2),
         "gradient": Metric("grad.", False, f"mean |∂I(x) - ∂I(y)| along rows and columns of {TONE_MAP}", 4),
@@ -86,8 +87,9 @@ def mape(prediction: Images, reference: Images) -> PerImage:
 
 def psnr(prediction: Images, reference: Images) -> PerImage:
     """Compute the peak signal-to-noise ratio of tone-mapped images in dB; infinite for equal images."""
-    error = (perceptual(prediction) - perceptual(reference)).square().flatten(1).mean(dim=1)
-    return -10 * torch.log10(error)
+    return peak_signal_noise_ratio(
+        perceptual(prediction), perceptual(reference), data_range=1.0, reduction="none", dim=(1, 2, 3)
+    )
 
 
 def ssim(prediction: Images, reference: Images) -> PerImage:

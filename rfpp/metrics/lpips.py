@@ -1,93 +1,80 @@
-"""LPIPS (Zhang et al., CVPR 2018) with the VGG16 trunk, in plain torch.
-
-Equal to the `lpips` package with version 0.1 of its linear weights, but without torchvision. It is not an `nn.Module`:
-its weights must not become parameters or buffers of a checkpoint, optimizer or distributed wrapper, and must keep their
-precision when a module is cast.
-"""
+"""LPIPS (Zhang et al., CVPR 2018) with the VGG16 trunk, from the package `lpips`."""
 
 from __future__ import annotations
 
+import hashlib
+import os
+import warnings
 from collections.abc import Mapping
 from pathlib import Path
 
 import torch
-import torch.nn.functional as F
 from jaxtyping import Float
+from safetensors import SafetensorError
+from safetensors.torch import load_file
 from torch import Tensor
+from torch.nn.functional import normalize
 
-from rfpp.metrics.lpips_weights import CONV_CHANNELS, linear_weights, trunk_weights
+from rfpp.errors import MissingDependencyError
 
-#: Convolutions of each VGG16 stage. Stages are separated by 2x2 max pooling; LPIPS reads the end of each.
-STAGES = (2, 2, 3, 3, 3)
-#: Pixels per side that four poolings and a last convolution need.
-MIN_SIZE = 16
-
-_SHIFT = (-0.030, -0.088, -0.188)
-_SCALE = (0.458, 0.448, 0.450)
-_NORM_EPS = 1e-10
+_LAYERS = (0, 2, 5, 7, 10, 12, 14, 17, 19, 21, 24, 26, 28)
+#: Parameters of VGG16's convolutions, in order, by torchvision's names.
+TRUNK = tuple(f"features.{layer}.{kind}" for layer in _LAYERS for kind in ("weight", "bias"))
+#: Hash of torchvision's ImageNet weights, vgg16-397923af.pth, see `trunk_sha256`.
+TRUNK_SHA256 = "40acdda7c6b05249f81637b2571671ce938507c5f986db17af374cf62a2f42a6"
 
 
 class LPIPS:
     """Learned perceptual distance between images, differentiable in both and computed in float32.
 
-    Args:
-        trunk: VGG16 convolutions by torchvision's names (`trunk_weights()`).
-        linear: Channel weights of the five stages, [C] each (`linear_weights()`).
+    Not an `nn.Module`: weights stay out of checkpoints and optimizers, and keep their mode and precision.
 
-    Example:
-        lpips = LPIPS.pretrained()
-        distance = lpips(a, b)  # a, b [N, 3, H, W] in [-1, 1] -> [N]
+    Args:
+        trunk: Parameters of `TRUNK`, float32; the published ones by `load_trunk`.
     """
 
-    def __init__(self, trunk: Mapping[str, Tensor], linear: list[Tensor]) -> None:
-        names = list(CONV_CHANNELS)
-        convolutions = [(trunk[f"{name}.weight"], trunk[f"{name}.bias"]) for name in names]
-        self._convolutions = [(w.detach().float(), b.detach().float()) for w, b in convolutions]
-        self._linear = [w.detach().float() for w in linear]
+    def __init__(self, trunk: Mapping[str, Tensor]) -> None:
+        import lpips  # optional
 
-    @classmethod
-    def pretrained(cls, trunk_path: Path | str | None = None) -> LPIPS:
-        """Load the published weights. Arguments and errors: see `trunk_weights`."""
-        return cls(trunk_weights(trunk_path), linear_weights())
+        with torch.device("meta"), warnings.catch_warnings(action="ignore"):  # meta: no random initialization
+            network = lpips.LPIPS(net="vgg", pretrained=False, pnet_rand=True, verbose=False)
+        linear = Path(lpips.__file__).parent / "weights/v0.1/vgg.pth"
+        weights = torch.load(linear, map_location="cpu", weights_only=True)
+        weights |= {f"net.{name}": trunk[f"features.{name.partition('.')[2]}"] for name in network.net.state_dict()}
+        network.load_state_dict(weights, strict=False, assign=True)  # the package lists linear weights twice
+        self._network = network.eval().requires_grad_(False)
 
     def __call__(self, image: Float[Tensor, "n 3 h w"], reference: Float[Tensor, "n 3 h w"]) -> Float[Tensor, " n"]:
-        """Compute the distance of each pair of images in [-1, 1].
-
-        Raises:
-            ValueError: If an image has fewer than 16 pixels per side.
-        """
-        if min(image.shape[-2:]) < MIN_SIZE:
-            raise ValueError(
-                f"LPIPS needs images of at least {MIN_SIZE} pixels per side, got {tuple(image.shape[-2:])}"
-            )
-        self._move_to(image.device)
+        """Compute the distance of each pair of images in [-1, 1]."""
+        network = self._network.to(image.device)
         with torch.autocast(image.device.type, enabled=False):
-            features, targets = self._features(image.float()), self._features(reference.float())
+            features, targets = (network.net(network.scaling_layer(x.float())) for x in (image, reference))
+            # The package's own normalization has NaN gradients where all features of a pixel vanish.
             distances = [
-                ((_unit(x) - _unit(y)).square() * weight[:, None, None]).sum(dim=1).mean(dim=(1, 2))
-                for x, y, weight in zip(features, targets, self._linear, strict=True)
+                linear((normalize(x, eps=1e-10) - normalize(y, eps=1e-10)).square()).mean(dim=(1, 2, 3))
+                for linear, x, y in zip(network.lins, features, targets, strict=True)
             ]
             return torch.stack(distances).sum(dim=0)
 
-    def _features(self, image: Tensor) -> list[Tensor]:
-        """Return the activations after the last ReLU of each stage, [N, 64..512, H / 2^s, W / 2^s]."""
-        x = (image - image.new_tensor(_SHIFT)[:, None, None]) / image.new_tensor(_SCALE)[:, None, None]
-        features, convolutions = [], iter(self._convolutions)
-        for stage, depth in enumerate(STAGES):
-            x = F.max_pool2d(x, 2) if stage else x
-            for _ in range(depth):
-                weight, bias = next(convolutions)
-                x = F.relu(F.conv2d(x, weight, bias, padding=1))
-            features.append(x)
-        return features
 
-    def _move_to(self, device: torch.device) -> None:
-        if self._linear[0].device != device:
-            self._convolutions = [(w.to(device), b.to(device)) for w, b in self._convolutions]
-            self._linear = [w.to(device) for w in self._linear]
+def load_trunk() -> dict[str, Tensor]:
+    """Load the trunk from the user cache. Raises MissingDependencyError if it is missing or damaged."""
+    try:
+        if trunk_sha256(trunk := load_file(trunk_file())) == TRUNK_SHA256:
+            return trunk
+    except (OSError, SafetensorError, KeyError):
+        pass
+    raise MissingDependencyError(
+        f"{trunk_file()}: the VGG16 weights of LPIPS are missing or damaged: run `rfpp weights`, or omit LPIPS: "
+        "loss.lpips_weight=0 in training, evaluation.lpips=false in evaluation"
+    )
 
 
-def _unit(features: Tensor) -> Tensor:
-    """Normalize features over channels. The eps inside the root keeps the gradient of zero features finite."""
-    norm = (features.square().sum(dim=1, keepdim=True) + _NORM_EPS**2).sqrt()
-    return features / (norm + _NORM_EPS)
+def trunk_file() -> Path:
+    """Return the path of the trunk in the user cache ($XDG_CACHE_HOME, else ~/.cache)."""
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "rfpp" / "vgg16-trunk.safetensors"
+
+
+def trunk_sha256(trunk: Mapping[str, Tensor]) -> str:
+    """Return the sha256 of the float32 values in the order of `TRUNK`. Raises KeyError if one is missing."""
+    return hashlib.sha256(b"".join(trunk[name].float().numpy().tobytes() for name in TRUNK)).hexdigest()

@@ -1,1 +1,1 @@
-"""Ground truth by Blender Cycles, in worker processes; `cycles` alone imports bpy."""
+"""Reference images by Blender Cycles in worker processes; only `cycles` imports bpy."""

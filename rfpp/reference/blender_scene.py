@@ -1,7 +1,7 @@
-"""Packed triangles to Blender meshes and materials. Blender's module comes as an argument: nothing here imports it.
+"""Convert packed triangles to Blender meshes and materials. `bpy` is an argument, never imported here.
 
-Materials are those of RenderFormer's data: a Lambertian lobe plus a multiple-scattering GGX lobe, added without a
-Fresnel term. Emissive triangles keep their reflectance, shine on both sides and are invisible to the camera.
+Materials follow RenderFormer's data: the sum of a Lambertian lobe and a multiple-scattering GGX lobe, without a Fresnel
+term. Emissive triangles keep their reflectance, emit on both sides and are invisible to the camera.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from rfpp.scene.triangles import DIFFUSE, EMISSION, ROUGHNESS, SPECULAR, SceneTr
 
 
 def add_geometry(bpy: ModuleType, triangles: SceneTriangles) -> None:
-    """Add every object to Blender's scene; objects of which only some triangles emit are split in two.
+    """Add every object to Blender's scene; partly emissive objects are split in two.
 
     Raises:
-        SceneError: a triangle without area or with coordinates that are not finite, naming its object.
+        SceneError: If a triangle of an object has no area or is not finite; names the object.
     """
     _check_geometry(triangles)
     emissive = triangles.is_emissive
@@ -33,7 +33,7 @@ def add_geometry(bpy: ModuleType, triangles: SceneTriangles) -> None:
 
 
 def _check_geometry(triangles: SceneTriangles) -> None:
-    """Reject geometry that makes Blender crash or render incorrectly."""
+    """Reject geometry with which Blender crashes or renders incorrectly."""
     edges = triangles.positions[:, 1:] - triangles.positions[:, :1]
     area = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=-1)
     sound = np.isfinite(triangles.positions).all((1, 2)) & np.isfinite(triangles.normals).all((1, 2)) & (area > 0)
@@ -43,7 +43,7 @@ def _check_geometry(triangles: SceneTriangles) -> None:
 
 
 def _mesh(bpy: ModuleType, name: str, triangles: SceneTriangles, part: np.ndarray):
-    """A Blender mesh of unconnected triangles with the given normals and materials."""
+    """Return a Blender mesh of unconnected triangles with their normals and materials."""
     count = len(part)
     mesh = bpy.data.meshes.new(name)
     mesh.vertices.add(3 * count)
@@ -64,16 +64,16 @@ def _mesh(bpy: ModuleType, name: str, triangles: SceneTriangles, part: np.ndarra
         colors.data.foreach_set("color", _flat(np.insert(np.repeat(diffuse, 3, axis=0), 3, 1, axis=1)))
 
     mesh.update(calc_edges=True)
-    # Setting normals on a mesh that Blender has not validated crashes it.
+    # setting normals on an unvalidated mesh crashes Blender
     if mesh.validate() or len(mesh.polygons) != count:
-        raise SceneError(f"object '{name}': Blender finds invalid triangles in it: repair the mesh")
+        raise SceneError(f"object '{name}': Blender reports invalid triangles: repair the mesh")
     mesh.polygons.foreach_set("use_smooth", np.ones(count, bool))
     mesh.normals_split_custom_set_from_vertices(triangles.normals[part].reshape(-1, 3))
     return mesh
 
 
 def _material(bpy: ModuleType, row: np.ndarray, diffuse_attribute: str | None):
-    """Diffuse + GGX (+ emission) from one row of `SceneTriangles.material`."""
+    """Return diffuse + GGX (+ emission) for one row of `SceneTriangles.material`."""
     material = bpy.data.materials.new("surface")
     material.use_nodes = True
     tree = material.node_tree

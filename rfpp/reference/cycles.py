@@ -1,10 +1,8 @@
-"""Ground truth: the packed triangles of a scene, path-traced by Blender Cycles. The only file that imports bpy.
+"""Reference images of packed triangles, path-traced by Blender Cycles. The only file that imports bpy.
 
-Call it in a worker process that was spawned, not forked (`rfpp.reference.farm`): bpy holds one global scene and
-brings its own copies of many libraries.
-
-The world is black, lights are invisible to the camera, and what is returned is scene-linear radiance without any
-view transform. Materials: see `rfpp.reference.blender_scene`.
+Call it in a spawned worker process (`rfpp.reference.farm`): bpy holds one global scene and its own copies of many
+libraries. The world is black, lights are invisible to the camera, and images are scene-linear radiance without a view
+transform. Materials: see `rfpp.reference.blender_scene`.
 """
 
 from __future__ import annotations
@@ -29,7 +27,7 @@ from rfpp.imaging.exr import ImageFileError, read_exr
 from rfpp.reference.blender_scene import add_geometry
 from rfpp.scene.triangles import SceneTriangles
 
-#: What `render_passes` can return: our name → (Blender's switch, layer name in its files, channels).
+#: Passes of `render_passes`: name → (Blender's switch, layer name in its files, channels).
 PASSES: dict[str, tuple[str, str, str]] = {
     "combined": ("use_pass_combined", "Combined", "RGB"),
     "depth": ("use_pass_z", "Depth", "Z"),
@@ -48,20 +46,20 @@ _SYSTEM_LIBRARIES = "libxrender1 libxfixes3 libxi6 libxkbcommon0 libsm6 libgl1"
 
 @dataclass(frozen=True)
 class CyclesSettings:
-    """All settings that affect a reference image. Values are in conf/reference/*.yaml.
+    """All settings of a reference image. Values are in conf/reference/*.yaml.
 
     Attributes:
-        samples: paths per pixel, at most.
-        adaptive_threshold: noise level at which a pixel stops early; 0 renders all samples everywhere.
+        samples: maximum number of paths per pixel.
+        adaptive_threshold: noise level at which a pixel stops early; 0 disables adaptive sampling.
         denoise: OpenImageDenoise, high quality, guided by noisy albedo and normal.
-        max_bounces, diffuse_bounces, glossy_bounces: path length, in all and by the kind of scattering.
-        clamp_direct, clamp_indirect: the most one sample may contribute; 0 is no limit. Clamping loses a few
-            per cent of the energy and removes fireflies that no number of samples removes.
-        caustics: light that reaches diffuse surfaces by way of glossy ones.
+        max_bounces, diffuse_bounces, glossy_bounces: path length, in total and by the kind of scattering.
+        clamp_direct, clamp_indirect: maximum contribution of a sample; 0 is no limit. Clamping loses a few per cent of
+            the energy and removes fireflies that more samples do not remove.
+        caustics: light that reaches diffuse surfaces via glossy ones.
         blur_glossy: roughness added after a diffuse bounce, against noise from caustics.
         light_threshold: probabilistic (unbiased) termination of light samples weaker than this; 0 is off.
-        filter_width: Blackman-Harris pixel filter, pixels.
-        seed: same seed and machine, same image to the bit, whatever the threads.
+        filter_width: width of the Blackman-Harris pixel filter in pixels.
+        seed: equal seeds give bit-identical images on a machine, for any number of threads.
         threads: 0 is one per core.
     """
 
@@ -89,7 +87,7 @@ class CyclesSettings:
 
 
 def require_blender() -> None:
-    """Check, without importing it here, that Blender's module loads. Raises MissingDependencyError with the remedy."""
+    """Check in a subprocess that bpy loads. Raises MissingDependencyError with the remedy."""
     if importlib.util.find_spec("bpy") is None:
         raise _missing_blender("No module named 'bpy'")
     trial = subprocess.run([sys.executable, "-c", "import bpy"], capture_output=True, text=True, check=False)
@@ -105,16 +103,19 @@ def render(
     width: int,
     settings: CyclesSettings,
 ) -> Float[np.ndarray, "v h w 3"]:
-    """Linear RGB radiance of every view.
+    """Render the linear RGB radiance of every view.
 
     Args:
-        triangles: in world space.
-        c2w: camera to world, Blender axes.
-        fov: full angle in degrees along the longer image side.
+        triangles: World-space triangles.
+        c2w: Camera to world, Blender axes.
+        fov: Full angle in degrees along the longer image side.
+        height: Rows of the image.
+        width: Columns of the image.
+        settings: Cycles settings.
 
     Raises:
-        SceneError: geometry that is not finite or a degenerate triangle.
-        MissingDependencyError: Blender is not installed or lacks a system library.
+        SceneError: If geometry is not finite or a triangle is degenerate.
+        MissingDependencyError: If Blender is not installed or lacks a system library.
     """
     return render_passes(triangles, c2w, fov, height, width, settings, ["combined"])["combined"]
 
@@ -130,8 +131,8 @@ def render_passes(
 ) -> dict[str, np.ndarray]:
     """Render several Cycles passes (see `PASSES`) of every view: [V, H, W, 3], or [V, H, W] for scalars.
 
-    Only "combined" is denoised. Depth is along the camera's -Z axis (1e10 where nothing is hit), normals are in
-    world space, an object's index is its place in the scene plus one (0 where nothing is hit). Raises like `render`.
+    Only "combined" is denoised. Depth is along the camera's -Z axis (1e10 where nothing is hit), normals are in world
+    space, and object indices count from 1 (0 where nothing is hit). Raises like `render`.
     """
     bpy = _blender()
     with _quiet(), _memory_folder() as folder:
@@ -146,7 +147,7 @@ def render_passes(
 
 
 def _configure(scene, settings: CyclesSettings, height: int, width: int) -> None:
-    """Set everything that affects the image, so that results do not depend on Blender's defaults."""
+    """Set everything that affects the image, independently of Blender's defaults."""
     scene.render.engine = "CYCLES"
     scene.render.resolution_x, scene.render.resolution_y, scene.render.resolution_percentage = width, height, 100
     scene.render.threads_mode = "FIXED" if settings.threads else "AUTO"
@@ -155,7 +156,7 @@ def _configure(scene, settings: CyclesSettings, height: int, width: int) -> None
     scene.render.film_transparent = False
     scene.render.use_compositing = scene.render.use_sequencer = False
     image = scene.render.image_settings
-    if hasattr(image, "media_type"):  # since Blender 5, which offers only its formats
+    if hasattr(image, "media_type"):  # since Blender 5
         image.media_type = "MULTI_LAYER_IMAGE"
     image.file_format, image.color_depth, image.exr_codec = "OPEN_EXR_MULTILAYER", "32", "NONE"
     scene.view_settings.view_transform, scene.view_settings.look = "Raw", "None"
@@ -168,7 +169,7 @@ def _configure(scene, settings: CyclesSettings, height: int, width: int) -> None
     cycles.adaptive_threshold, cycles.adaptive_min_samples = settings.adaptive_threshold, 0
     cycles.use_denoising = settings.denoise
     cycles.denoiser, cycles.denoising_input_passes = "OPENIMAGEDENOISE", "RGB_ALBEDO_NORMAL"
-    # Without prefiltering the high quality is as exact as with it, and faster.
+    # at high quality, prefiltering costs time without improving the image
     cycles.denoising_prefilter, cycles.denoising_quality = "NONE", "HIGH"
     cycles.max_bounces, cycles.diffuse_bounces = settings.max_bounces, settings.diffuse_bounces
     cycles.glossy_bounces, cycles.transmission_bounces, cycles.volume_bounces = settings.glossy_bounces, 0, 0
@@ -197,13 +198,13 @@ def _render_view(bpy: ModuleType, c2w: np.ndarray, fov: float, path: Path, passe
     lens.type, lens.sensor_fit, lens.lens_unit = "PERSP", "AUTO", "FOV"
     lens.angle, lens.clip_start, lens.clip_end = float(np.radians(fov)), 1e-4, 1e4
     camera = bpy.data.objects.new("camera", lens)
-    camera.matrix_world = c2w.T.astype(float).tolist()  # Blender takes columns here
+    camera.matrix_world = c2w.T.astype(float).tolist()  # column-major
     scene.collection.objects.link(camera)
     scene.camera = camera
     scene.render.filepath = str(path)
     try:
         bpy.ops.render.render(write_still=True)
-        layers = read_exr(path)  # where the disk is full, Blender leaves half a file and says nothing
+        layers = read_exr(path)  # on a full disk, Blender silently leaves a truncated file
     except (RuntimeError, ImageFileError) as error:
         raise UserError(f"{path.parent}: Cycles could not write an image there ({error}): free some space") from error
     path.unlink()
@@ -212,7 +213,7 @@ def _render_view(bpy: ModuleType, c2w: np.ndarray, fov: float, path: Path, passe
 
 
 def _pass(layers: dict[str, np.ndarray], name: str, channels: str) -> np.ndarray:
-    """One pass by Blender's names. The image library joins R, G, B(, A) to one layer and leaves others apart."""
+    """Return one pass by Blender's names. The image library joins only R, G, B(, A) to one layer."""
     if channels == "RGB":
         return layers[f"ViewLayer.{name}"][..., :3]
     planes = [layers[f"ViewLayer.{name}.{channel}"] for channel in channels]
@@ -220,15 +221,15 @@ def _pass(layers: dict[str, np.ndarray], name: str, channels: str) -> np.ndarray
 
 
 def _empty_scene(bpy: ModuleType):
-    """Blender's scene, cleared of the data of earlier calls."""
+    """Return Blender's scene without the data of earlier calls."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
-    shutil.rmtree(bpy.app.tempdir, ignore_errors=True)  # never used here, and a worker's exit would leave it behind
+    shutil.rmtree(bpy.app.tempdir, ignore_errors=True)  # unused, and left behind when a worker exits
     return bpy.context.scene
 
 
 @contextmanager
 def _memory_folder() -> Iterator[Path]:
-    """A temporary folder, in memory if the system supports it."""
+    """Provide a temporary folder, in memory if the system supports it."""
     parent = "/dev/shm" if os.access("/dev/shm", os.W_OK) else None
     with tempfile.TemporaryDirectory(prefix="rfpp_cycles_", dir=parent) as folder:
         yield Path(folder)

@@ -1,4 +1,4 @@
-"""A pool of pinned worker processes, recycled regularly and replaced when they die or hang."""
+"""A pool of pinned worker processes, recycled regularly and replaced when they crash or hang."""
 
 from __future__ import annotations
 
@@ -19,17 +19,15 @@ Result = TypeVar("Result")
 class RenderFarm:
     """Runs jobs in worker processes that start with the first job and stay until `close`.
 
-    Each worker owns its share of the cores from its very first instruction: it inherits the pinning when it is
-    started, so every library sizes its thread pool for those cores alone (unpinned Cycles workers lose half their
-    time waiting for each other). Processes are spawned, never forked, and replaced after `jobs_per_worker` jobs.
+    A worker inherits its CPU pinning when it is started, so that every library sizes its thread pool accordingly
+    (unpinned Cycles workers lose half their time waiting for each other). Processes are spawned, never forked.
+    Use as a context manager, or call `close`.
 
     Args:
-        workers: number of processes; 0 means one per available core.
-        jobs_per_worker: a worker is replaced by a fresh one after this many jobs, against slow leaks.
-        max_growth_mb: or when it holds this much more memory than after its first job.
-        max_job_seconds: a job that takes longer counts as hung: its worker is killed.
-
-    Use as a context manager, or call `close`.
+        workers: Number of processes; 0 is one per available core.
+        jobs_per_worker: Jobs after which a worker is replaced, against slow leaks.
+        max_growth_mb: Memory growth since its first job after which a worker is replaced.
+        max_job_seconds: Time after which a job's worker is killed.
     """
 
     def __init__(
@@ -53,21 +51,21 @@ class RenderFarm:
         self.close()
 
     def __len__(self) -> int:
-        """The number of workers."""
+        """Return the number of workers."""
         return len(self._slots)
 
     def close(self) -> None:
-        """Stop all workers, also busy ones."""
+        """Stop all workers, including busy ones."""
         _stop(self._slots)
 
     def map(
         self, job: Callable[[Item], Result], items: Iterable[Item], attempts: int = 2
     ) -> Iterator[tuple[Item, Result | Exception]]:
-        """Yield (item, what `job(item)` returned or raised) as they are finished; `items` is read lazily.
+        """Yield (item, what `job(item)` returned or raised) in order of completion; `items` is read lazily.
 
-        An item whose job raises, whose worker dies (`WorkerDeathError`) or hangs (`WorkerHangError`) is tried
-        `attempts` times in all; a `UserError` is final at once. `job`, items and results are pickled. Exceptions
-        carry the worker's traceback as a note. Leaving the iteration early stops the workers that are still busy.
+        An item whose job raises, or whose worker crashes (`WorkerDeathError`) or hangs (`WorkerHangError`), is tried
+        `attempts` times in total; a `UserError` is final. `job`, items and results are pickled. Exceptions carry the
+        worker's traceback as a note. Leaving the iteration early stops busy workers.
         """
         pending = (Task(item) for item in items)
         retries: list[Task] = []
@@ -99,7 +97,7 @@ def _stop(slots: list[Slot]) -> None:
 
 
 def _ready(slots: list[Slot], limits: Limits) -> list[Slot]:
-    """The busy slots that have an answer, a dead worker or a job beyond its time; waits for the first."""
+    """Wait for and return busy slots with an answer, a crashed worker or an overdue job."""
     closed = [slot for slot in slots if slot.connection.closed]
     if closed:
         return closed
@@ -116,7 +114,7 @@ def _available_cores() -> list[int]:
 
 
 def _share(cores: list[int], index: int, count: int) -> frozenset[int]:
-    """The cores of worker `index` of `count`: equal runs, or one core for several workers when there are too few."""
+    """Return the cores of worker `index` of `count`: equal ranges, or one core shared by several workers."""
     if count >= len(cores):
         return frozenset({cores[index % len(cores)]})
     return frozenset(cores[index * len(cores) // count : (index + 1) * len(cores) // count])

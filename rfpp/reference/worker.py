@@ -17,7 +17,7 @@ from typing import Any
 
 import psutil
 
-from rfpp.child_signals import unheard_by_children
+from rfpp.child_signals import blocked_in_children
 
 
 class WorkerDeathError(RuntimeError):
@@ -119,7 +119,7 @@ class Slot:
     def _start(self) -> None:
         context = multiprocessing.get_context("spawn")
         self.connection, theirs = context.Pipe()
-        with _running_on(self.cores), unheard_by_children():  # only the first process decides on Ctrl-C
+        with _running_on(self.cores), blocked_in_children():  # only the first process decides on Ctrl-C
             self.process = context.Process(target=_serve, args=(theirs,), daemon=True)
             self.process.start()
         theirs.close()

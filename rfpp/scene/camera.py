@@ -1,4 +1,4 @@
-"""The camera's axis convention, stated once: Blender's, looking along -Z, +Y up, +X right."""
+"""Camera poses and pixel positions in Blender's convention: looking along -Z, +Y up, +X right."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from rfpp.scene.spec import Camera
 
 
 def camera_to_world(camera: Camera) -> Float[np.ndarray, "4 4"]:
-    """The pose of a look-at camera, float32: columns are its right, up and backward axes and its position."""
+    """Return the pose of a look-at camera, float32: columns are right, up, backward and position."""
     backward = _unit(np.subtract(camera.position, camera.look_at, dtype=np.float64))
     right = _unit(np.cross(camera.up, backward))
     pose = np.eye(4)
@@ -18,13 +18,13 @@ def camera_to_world(camera: Camera) -> Float[np.ndarray, "4 4"]:
 
 
 def pixel_plane(height: int, width: int, points: int = 1) -> Float[np.ndarray, "{height} {width} 2"]:
-    """(x right, y up) of each pixel centre, float32, row 0 on top; the longer image side spans [-1, 1].
+    """Return (x right, y up) of each pixel centre, float32, row 0 on top; the longer image side spans [-1, 1].
 
     Args:
-        height, width: in pixels or, where pixels have several points, in points.
-        points: along each side of a pixel. Each of its columns leans to the side, each row upwards, so that no two
-            points share one: outlines along rows and columns, of which there are many, pass through as many shades as
-            there are points (rotated grid supersampling).
+        height: Rows, in points if `points` is above 1.
+        width: Columns, in points if `points` is above 1.
+        points: Sample points along each side of a pixel, on a rotated grid: no two share a row or a column, so that
+            horizontal and vertical edges are antialiased with as many levels as there are points.
     """
     half, middle = max(height, width) / 2, (points - 1) / 2
     row, column = np.arange(height)[:, None], np.arange(width)

@@ -10,11 +10,11 @@ from jaxtyping import Bool, Float, Int
 
 from rfpp.errors import SceneError
 
-#: A triangle lower than this fraction of its longest side has no direction in float32.
+#: Triangles with a smaller height, relative to their longest side, have no direction in float32.
 _DEGENERATE_SLIMNESS = 1e-6
-#: Odd numbers whose multiples spread the bits of coordinates.
+#: Odd multipliers that spread the bits of coordinates.
 _MIXERS = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], np.uint64)
-#: Triangles at a time, so that what is computed of them stays in the processor's cache.
+#: Triangles processed at a time, so that intermediate results stay in the processor's cache.
 _CHUNK = 1 << 14
 
 
@@ -27,14 +27,14 @@ class Mesh:
         faces: [F, 3] int32 vertex indices, counter-clockwise seen from outside.
 
     Raises:
-        SceneError: no faces, a face index out of range, a vertex that is NaN or infinite.
+        SceneError: If there are no faces, a face index is out of range, or a vertex is NaN or infinite.
     """
 
     vertices: np.ndarray
     faces: np.ndarray
 
     def __post_init__(self) -> None:
-        with np.errstate(over="ignore"):  # too large for float32 becomes infinite, which is reported below
+        with np.errstate(over="ignore"):  # values too large for float32 become infinite, reported below
             vertices = np.ascontiguousarray(self.vertices, dtype=np.float32).reshape(-1, 3)
         faces = np.ascontiguousarray(self.faces).reshape(-1, 3)
         if len(faces) == 0:
@@ -49,7 +49,7 @@ class Mesh:
         object.__setattr__(self, "faces", faces.astype(np.int32, copy=False))
 
     def __len__(self) -> int:
-        """The number of faces."""
+        """Return the number of faces."""
         return len(self.faces)
 
     @property
@@ -68,7 +68,7 @@ def normalized(mesh: Mesh) -> Mesh:
 
 
 def joined(parts: Sequence[Mesh]) -> Mesh:
-    """All in one, their vertices and faces one after the other."""
+    """Concatenate the vertices and faces of several meshes."""
     starts = np.cumsum([0, *(len(part.vertices) for part in parts[:-1])])
     return Mesh(
         np.concatenate([part.vertices for part in parts]),
@@ -76,8 +76,8 @@ def joined(parts: Sequence[Mesh]) -> Mesh:
     )
 
 
-def taken_apart(whole: Mesh, part_faces: Sequence[int] | Int[np.ndarray, " parts"]) -> tuple[Mesh, ...]:
-    """Its first so many faces, the next and so on, each with the vertices that it uses: undoes `joined`."""
+def split_faces(whole: Mesh, part_faces: Sequence[int] | Int[np.ndarray, " parts"]) -> tuple[Mesh, ...]:
+    """Invert `joined`, given the number of faces of each part; unused vertices are dropped."""
     pieces = []
     for faces in np.split(whole.faces, np.cumsum(part_faces)[:-1]):
         used, renumbered = compacted(faces, len(whole.vertices))
@@ -86,22 +86,22 @@ def taken_apart(whole: Mesh, part_faces: Sequence[int] | Int[np.ndarray, " parts
 
 
 def normalized_together(parts: Sequence[Mesh]) -> tuple[Mesh, ...]:
-    """The parts of one object where `normalized` puts the whole."""
-    return taken_apart(normalized(joined(parts)), [len(part) for part in parts])
+    """Normalise the parts of one object as a whole."""
+    return split_faces(normalized(joined(parts)), [len(part) for part in parts])
 
 
 def decimated(mesh: Mesh, target_faces: int) -> Mesh:
-    """At most `target_faces` faces by quadric edge collapse; the mesh itself if it has no more than that.
+    """Reduce a mesh to at most `target_faces` faces by quadric edge collapse; a smaller mesh is returned unchanged.
 
-    Slivers, as in the caps of a fine cylinder, can stop the collapse early; then vertices that share a cell of an ever
+    Slivers, as in the caps of a fine cylinder, can stop the collapse early. Then vertices in each cell of an ever
     coarser grid are merged first.
 
     Raises:
-        SceneError: so few faces cannot be had, as with more loose triangles than that.
+        SceneError: If that many faces cannot be removed, for example from loose triangles.
     """
     if len(mesh) <= target_faces:
         return mesh
-    import fast_simplification  # late: whoever decimates nothing does without
+    import fast_simplification  # optional dependency, needed only here
 
     solid = without_degenerate_faces(welded(mesh))
     for grid_cells in (None, 256, 128, 64, 32, 16, 8, 4):
@@ -111,7 +111,7 @@ def decimated(mesh: Mesh, target_faces: int) -> Mesh:
                 return coarse
             vertices, faces = fast_simplification.simplify(coarse.vertices, coarse.faces, target_count=target_faces)
             reduced = without_degenerate_faces(Mesh(vertices, faces))
-        except SceneError:  # nothing was left
+        except SceneError:  # no face is left
             continue
         if len(reduced) <= target_faces:
             return reduced
@@ -119,10 +119,10 @@ def decimated(mesh: Mesh, target_faces: int) -> Mesh:
 
 
 def without_degenerate_faces(mesh: Mesh) -> Mesh:
-    """The mesh without triangles of zero area and without vertices that no face uses.
+    """Drop triangles of zero area and unused vertices.
 
     Raises:
-        SceneError: no triangle is left.
+        SceneError: If no triangle is left.
     """
     solid = has_area(mesh)
     if not solid.any():
@@ -132,25 +132,25 @@ def without_degenerate_faces(mesh: Mesh) -> Mesh:
 
 
 def has_area(mesh: Mesh) -> Bool[np.ndarray, " faces"]:
-    """The faces that `without_degenerate_faces` keeps."""
+    """Return a mask of the faces that `without_degenerate_faces` keeps."""
     return slimness(mesh) > _DEGENERATE_SLIMNESS
 
 
 def slimness(mesh: Mesh) -> Float[np.ndarray, " faces"]:
-    """The height of each triangle over its longest side, as a share of that side; 0 if it is a point."""
+    """Return the height of each triangle over its longest side, relative to that side; 0 for a point."""
     chunks = [mesh.faces[i : i + _CHUNK] for i in range(0, len(mesh), _CHUNK)]
     return np.concatenate([_slimness(mesh.vertices[chunk]) for chunk in chunks])
 
 
 def triangle_areas(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) -> Float[np.ndarray, " f"]:
-    """The area of each triangle."""
+    """Return the area of each triangle."""
     chunks = [faces[i : i + _CHUNK] for i in range(0, len(faces), _CHUNK)]
     return np.concatenate([np.empty(0), *(_areas(vertices[chunk]) for chunk in chunks)])
 
 
 def compacted(faces: Int[np.ndarray, "f 3"], count: int) -> tuple[Int[np.ndarray, " used"], Int[np.ndarray, "f 3"]]:
-    """Which of `count` vertices some faces use, in order, and the faces with these numbered from 0."""
-    if faces.size < count // 16:  # few faces of a large file: to sort them is less than to look at every vertex
+    """Return the indices of the used vertices out of `count`, in order, and the faces renumbered to them."""
+    if faces.size < count // 16:  # few faces of a large file: sorting them is faster than visiting every vertex
         used, renumbered = np.unique(faces, return_inverse=True)
         return used, renumbered.reshape(-1, 3)
     is_used = np.zeros(count, bool)
@@ -159,14 +159,14 @@ def compacted(faces: Int[np.ndarray, "f 3"], count: int) -> tuple[Int[np.ndarray
 
 
 def extent(positions: Float[np.ndarray, "n 3"]) -> tuple[Float[np.ndarray, 3], Float[np.ndarray, 3]]:
-    """The least and the greatest x, y and z; column by column, in a fifth of the time of a reduction along the rows."""
+    """Return the minimum and maximum of x, y and z; column by column, which is five times as fast as along rows."""
     return np.array([column.min() for column in positions.T]), np.array([column.max() for column in positions.T])
 
 
 def distinct(positions: Float[np.ndarray, "n 3"]) -> tuple[Float[np.ndarray, "d 3"], Int[np.ndarray, " n"]]:
-    """Different positions sorted by x, y, z, and the number of each position among them; -0 is 0.
+    """Return the distinct positions sorted by x, y, z, and the index of each position among them; -0 equals 0.
 
-    The same as `numpy.unique` along an axis, several times as fast.
+    Equivalent to `numpy.unique` along an axis, several times as fast.
     """
     positions = positions + 0.0  # turns -0.0 into 0.0
     first, number = same_positions(positions)
@@ -177,15 +177,15 @@ def distinct(positions: Float[np.ndarray, "n 3"]) -> tuple[Float[np.ndarray, "d 
 
 
 def same_positions(positions: Float[np.ndarray, "n 3"]) -> tuple[Int[np.ndarray, " d"], Int[np.ndarray, " n"]]:
-    """One index of each different position, in no useful order, and which of these each position equals; -0 is 0."""
+    """Return an index of each distinct position, in arbitrary order, and each position's index among these."""
     bits = (np.ascontiguousarray(positions, np.float64) + 0.0).view(np.uint64)
-    bits ^= bits >> np.uint64(32)  # the lower bits of what was float32 are all zero
+    bits ^= bits >> np.uint64(32)  # the lower bits of former float32 values are all zero
     key = (bits[:, 0] * _MIXERS[0] + bits[:, 1]) * _MIXERS[1] + bits[:, 2]
-    order = np.argsort((key ^ key >> np.uint64(32)) * _MIXERS[2])  # a sort of one number each, not of three
+    order = np.argsort((key ^ key >> np.uint64(32)) * _MIXERS[2])  # sorts one number per position instead of three
     ordered = positions[order]
     x, y, z = (column[1:] != column[:-1] for column in ordered.T)
     is_new = x | y | z
-    if np.count_nonzero(is_new) != np.count_nonzero(np.diff(key[order])):  # different positions with equal keys
+    if np.count_nonzero(is_new) != np.count_nonzero(np.diff(key[order])):  # distinct positions with equal keys
         order = np.lexsort(positions.T)
         x, y, z = (column[1:] != column[:-1] for column in positions[order].T)
         is_new = x | y | z
@@ -193,6 +193,12 @@ def same_positions(positions: Float[np.ndarray, "n 3"]) -> tuple[Int[np.ndarray,
     number = np.empty(len(order), np.int64)
     number[order] = np.cumsum(is_new) - 1
     return order[is_new], number
+
+
+def welded(mesh: Mesh) -> Mesh:
+    """Merge vertices at equal positions (an STL file repeats them for every face)."""
+    vertices, index = distinct(mesh.vertices)
+    return Mesh(vertices, index[mesh.faces])
 
 
 def _areas(corners: Float[np.ndarray, "f 3 3"]) -> Float[np.ndarray, " f"]:
@@ -208,18 +214,12 @@ def _slimness(corners: Float[np.ndarray, "f 3 3"]) -> Float[np.ndarray, " f"]:
 
 
 def _cross(u: Float[np.ndarray, "3 f"], v: Float[np.ndarray, "3 f"]) -> Float[np.ndarray, "3 f"]:
-    """By components: np.cross takes four times as long, and every object of every scene comes here."""
+    """Compute cross products by components, four times as fast as np.cross."""
     return np.stack([u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]])
 
 
 def _length(vectors: Float[np.ndarray, "3 f"]) -> Float[np.ndarray, " f"]:
     return np.sqrt((vectors * vectors).sum(axis=0))
-
-
-def welded(mesh: Mesh) -> Mesh:
-    """Vertices at equal positions made one (an STL file repeats them for every face)."""
-    vertices, index = distinct(mesh.vertices)
-    return Mesh(vertices, index[mesh.faces])
 
 
 def _clustered(mesh: Mesh, cells: int) -> Mesh:

@@ -1,4 +1,4 @@
-"""PackedScene: a scene as triangles and camera poses, which is all that rendering needs."""
+"""PackedScene: the triangles and camera poses of a scene, the input of rendering."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from rfpp.scene.triangles import SceneTriangles
 
 @dataclass(frozen=True, eq=False)
 class PackedScene:
-    """What `pack` makes of a scene, and what RenderFormer's H5 files hold.
+    """Triangles and cameras of a scene, as produced by `pack` and stored in RenderFormer's H5 files.
 
     Attributes:
         name: for messages and file names.
         triangles: in world space, sorted by object.
         c2w: [V, 4, 4] float32 camera-to-world, Blender axes.
         fov: [V] float32 degrees along the longer image side.
-        texture: [M, 13, P, P] float32 where materials vary over triangles, see `rfpp.scene.texture`.
+        texture: [M, 13, P, P] float32 if materials vary within triangles, see `rfpp.scene.texture`.
     """
 
     name: str
@@ -32,23 +32,23 @@ class PackedScene:
     texture: Float[np.ndarray, "m 13 p p"] | None = None
 
     def seen_by(self, cameras: Sequence[Camera]) -> PackedScene:
-        """The same triangles with other cameras."""
+        """Return the same triangles with other cameras."""
         c2w, fov = poses(cameras)
         return replace(self, c2w=c2w, fov=fov)
 
     def views(self, indices: Sequence[int]) -> PackedScene:
-        """Only these of its cameras."""
+        """Return the scene with some of its cameras."""
         return replace(self, c2w=self.c2w[list(indices)], fov=self.fov[list(indices)])
 
 
 def pack(scene: Scene | PackedScene) -> PackedScene:
-    """Triangles and camera poses of a scene. Raises SceneError naming an object of which nothing is left."""
+    """Return triangles and camera poses of a scene. Raises SceneError if nothing of an object is left."""
     if isinstance(scene, PackedScene):
         return scene
     return PackedScene(scene.name, SceneTriangles.from_scene(scene), *poses(scene.cameras))
 
 
 def poses(cameras: Sequence[Camera]) -> tuple[Float[np.ndarray, "v 4 4"], Float[np.ndarray, " v"]]:
-    """c2w and fov of look-at cameras, float32."""
+    """Return c2w and fov of look-at cameras, float32."""
     c2w = np.stack([camera_to_world(camera) for camera in cameras]) if cameras else np.zeros((0, 4, 4), np.float32)
     return c2w, np.array([camera.fov for camera in cameras], dtype=np.float32)

@@ -1,4 +1,4 @@
-"""Shading normals of triangle meshes: flat, or smooth with the vertices split at creases."""
+"""Shading normals of triangle meshes: flat, or smooth with creases."""
 
 from __future__ import annotations
 
@@ -11,16 +11,15 @@ from scipy.sparse.csgraph import connected_components
 
 from rfpp.scene.mesh import Mesh, welded
 
-#: Faces that meet at a larger angle than this keep a visible edge when shaded smoothly.
+#: Edges with a larger angle between their faces stay sharp in smooth shading.
 CREASE_DEGREES = 30.0
 
 
 def corner_normals(mesh: Mesh, smooth: bool, crease_degrees: float = CREASE_DEGREES) -> Float[np.ndarray, "faces 3 3"]:
-    """Unit shading normals of the corners of each face, float32.
+    """Return unit shading normals of the corners of each face, float32.
 
-    Flat: the face's own normal. Smooth: the angle-weighted mean over the faces around the vertex that are reached
-    from this one without crossing a crease, as if vertices were split there. Positions that coincide count as one
-    vertex. The mesh must be free of degenerate faces.
+    Flat: the face normal. Smooth: the angle-weighted mean over the faces around the vertex on the same side of all
+    creases. Coincident positions count as one vertex. The mesh must have no degenerate faces.
     """
     normals = _face_normals(mesh)
     per_corner = np.repeat(normals, 3, axis=0)
@@ -36,9 +35,9 @@ def corner_normals(mesh: Mesh, smooth: bool, crease_degrees: float = CREASE_DEGR
 
 
 def shading_groups(mesh: Mesh, smooth: bool, crease_degrees: float = CREASE_DEGREES) -> Int[np.ndarray, " faces"]:
-    """The number of the smoothly shaded part that each face belongs to, counted from 0 in the order of the faces.
+    """Return the index of each face's smoothly shaded part, from 0 in the order of the faces.
 
-    Without smooth shading every face is a part of its own.
+    Without smooth shading, every face is its own part.
     """
     if not smooth:
         return np.arange(len(mesh), dtype=np.int32)
@@ -47,10 +46,10 @@ def shading_groups(mesh: Mesh, smooth: bool, crease_degrees: float = CREASE_DEGR
 
 
 def _smooth_edges(mesh: Mesh, normals: np.ndarray, crease_degrees: float) -> tuple[np.ndarray, np.ndarray]:
-    """Pairs of half-edges, one from each of two faces that meet in an edge no sharper than a crease.
+    """Return pairs of half-edges of adjacent faces whose common edge is smooth.
 
-    A half-edge is named by the corner it starts from, 3 * face + 0, 1 or 2. An edge of more than two faces, or of two
-    that disagree about the outside, is always sharp.
+    A half-edge is identified by its first corner, 3 * face + 0, 1 or 2. Edges of more than two faces, or of two
+    inconsistently oriented faces, are sharp.
     """
     start = welded(mesh).faces.reshape(-1).astype(np.int64)
     end = start[_next_corner(np.arange(len(start)))]
@@ -60,7 +59,7 @@ def _smooth_edges(mesh: Mesh, normals: np.ndarray, crease_degrees: float) -> tup
     pairs = begin[count == 2]
     first, second = order[pairs], order[pairs + 1]
     cosine = np.einsum("ec,ec->e", normals[first // 3], normals[second // 3])
-    # The tolerance keeps an edge of exactly the crease angle smooth in spite of rounding.
+    # the tolerance keeps an edge of exactly the crease angle smooth despite rounding
     is_smooth = (cosine > math.cos(math.radians(crease_degrees)) - 1e-6) & (start[first] == end[second])
     return first[is_smooth], second[is_smooth]
 
@@ -70,7 +69,7 @@ def _next_corner(corner: np.ndarray) -> np.ndarray:
 
 
 def _components(a: np.ndarray, b: np.ndarray, count: int) -> np.ndarray:
-    """[count] labels of the connected components of the graph with edges a - b."""
+    """Label the connected components of the graph with edges a - b, [count]."""
     graph = coo_array((np.ones(len(a), dtype=bool), (a, b)), shape=(count, count))
     return connected_components(graph, directed=False)[1]
 
@@ -81,7 +80,7 @@ def _face_normals(mesh: Mesh) -> np.ndarray:
 
 
 def _corner_angles(mesh: Mesh) -> np.ndarray:
-    """[F, 3] interior angles in radians."""
+    """Return interior angles in radians, [F, 3]."""
     corners = mesh.corners.astype(np.float64)
     onward = _unit(np.roll(corners, -1, axis=1) - corners)
     backward = _unit(np.roll(corners, 1, axis=1) - corners)

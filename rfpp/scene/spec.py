@@ -1,7 +1,7 @@
-"""What a scene is: objects with one mesh and one material each, and cameras.
+"""Scenes: objects with one mesh and one material each, and cameras.
 
-Scenes live inside [-0.5, 0.5]^3 (lights may stand outside), right-handed, Z up. A `Scene` is immutable and
-valid by construction: whoever holds one need not check it again.
+Scenes lie inside [-0.5, 0.5]^3 (lights may be outside), right-handed, Z up. A `Scene` is immutable and valid by
+construction.
 """
 
 from __future__ import annotations
@@ -9,15 +9,18 @@ from __future__ import annotations
 import math
 import reprlib
 import warnings
-from typing import Annotated, ClassVar, Literal
+from collections.abc import Mapping
+from functools import cached_property
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
+from jaxtyping import Float
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from rfpp.errors import SceneError, one_line
-from rfpp.scene.mesh import Mesh
+from rfpp.scene.mesh import Mesh, has_area, normalized, without_degenerate_faces
 
-#: Lengths, angles and radiances beyond are mistakes, and lose what is small beside them in float32.
+#: Larger lengths, angles and radiances are mistakes, and lose small values beside them in float32.
 FARTHEST, BRIGHTEST = 1e5, 1e9
 Number = Annotated[float, Field(ge=-FARTHEST, le=FARTHEST)]
 Vector = tuple[Number, Number, Number]
@@ -29,10 +32,10 @@ Radiance = tuple[Power, Power, Power]
 
 
 class Strict(BaseModel):
-    """Immutable, finite numbers only, unknown keys refused; a bad value raises a one-line SceneError."""
+    """Immutable base class with finite numbers and known keys only; a bad value raises a one-line SceneError."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, arbitrary_types_allowed=True)
-    #: What the error messages call an instance.
+    #: Name of an instance in error messages.
     noun: ClassVar[str] = ""
 
     def __init__(self, **values: object) -> None:
@@ -51,7 +54,7 @@ class Material(Strict):
         roughness: perceptual roughness in [0, 1]; the GGX alpha is its square.
         emissive: emitted radiance, linear RGB, of both sides of each triangle.
         smooth_shading: interpolate normals across edges flatter than 30 degrees.
-        rand_tri_diffuse_seed: if set, diffuse is replaced by random colours drawn with this seed.
+        rand_tri_diffuse_seed: if set, random colours drawn with this seed replace diffuse.
         random_diffuse_max: upper bound of those colours.
         random_diffuse_type: one colour per triangle or per smoothly shaded part.
     """
@@ -89,6 +92,16 @@ class Transform(Strict):
     scale: Vector = (1.0, 1.0, 1.0)
     normalize: bool = True
 
+    def apply(self, mesh: Mesh) -> Mesh:
+        """Return the mesh in world space, still facing outwards if it is mirrored.
+
+        Shading normals are computed from this mesh, as in RenderFormer, so normals never need the inverse transpose.
+        """
+        mesh = normalized(mesh) if self.normalize else mesh
+        rotated = mesh.vertices @ rotation_matrix(self.rotation).T
+        vertices = rotated * np.array(self.scale) + np.array(self.translation)
+        return Mesh(vertices, mesh.faces[:, ::-1] if np.prod(np.sign(self.scale)) < 0 else mesh.faces)
+
 
 class Camera(Strict):
     """A pinhole camera; `fov` is the full angle in degrees along the longer image side."""
@@ -111,14 +124,15 @@ class Camera(Strict):
 
 
 class SceneObject(Strict):
-    """One mesh, where it stands and what it is made of.
+    """A mesh with a transform and a material.
 
     Attributes:
         name: unique in its scene.
-        mesh: in the mesh's own coordinates, before `transform`.
-        transform, material: see there.
-        face_material: [F, 10] float32, if the material varies over the faces: rows of `SceneTriangles.material`, which
-            then hold instead of `material`. That keeps the area-weighted mean, and the shading.
+        mesh: in its own coordinates, before `transform`.
+        material: of the surface.
+        transform: mesh to world.
+        face_material: [F, 10] float32 rows of `SceneTriangles.material`, if the material varies over the faces; they
+            replace `material`, which then holds their area-weighted mean, and the shading.
     """
 
     noun = "object"
@@ -129,15 +143,37 @@ class SceneObject(Strict):
     transform: Transform = Transform()
     face_material: np.ndarray | None = None
 
+    @cached_property
+    def world_mesh(self) -> Mesh:
+        """The transformed mesh without zero-area triangles, computed once. Raises SceneError if nothing is left."""
+        try:
+            return without_degenerate_faces(self.transform.apply(self.mesh))
+        except SceneError as error:
+            raise SceneError(f"object '{self.name}': {error}") from None
+
+    @cached_property
+    def world_face_material(self) -> np.ndarray | None:
+        """`face_material` of the faces of `world_mesh`, computed once."""
+        if self.face_material is None:
+            return None
+        return self.face_material[has_area(self.transform.apply(self.mesh))].astype(np.float32)
+
+    def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> SceneObject:
+        """Copy the object with changes, without its cached properties, which pydantic copies."""
+        copied = super().model_copy(update=update, deep=deep)
+        for name in ("world_mesh", "world_face_material"):
+            copied.__dict__.pop(name, None)
+        return copied
+
     @model_validator(mode="after")
     def _has_a_material_for_each_face(self) -> SceneObject:
         rows = self.face_material
         if rows is None:
             return self
         if rows.shape != (len(self.mesh), 10):
-            raise ValueError(f"face_material: shape {rows.shape}, not ({len(self.mesh)}, 10): give a row for each face")
+            raise ValueError(f"face_material: shape {rows.shape}, not ({len(self.mesh)}, 10): give one row per face")
         if not (np.isfinite(rows).all() and rows.min() >= 0 and rows[:, :7].max() <= 1):
-            raise ValueError("face_material: a reflectance or roughness outside [0, 1], or a bad emission: correct it")
+            raise ValueError("face_material: reflectance or roughness outside [0, 1], or invalid emission: correct it")
         return self
 
     @model_validator(mode="after")
@@ -153,7 +189,7 @@ class SceneObject(Strict):
 
 
 class Scene(Strict):
-    """Objects and cameras. Raises SceneError when empty or when object names repeat."""
+    """Objects and cameras. Raises SceneError if it is empty or object names repeat."""
 
     noun = "scene"
 
@@ -171,8 +207,17 @@ class Scene(Strict):
         return self
 
 
+def rotation_matrix(degrees: Vector) -> Float[np.ndarray, "3 3"]:
+    """Return the rotation about the world x, then y, then z axis, float64."""
+    (cx, cy, cz), (sx, sy, sz) = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    about_x = np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])
+    about_y = np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
+    about_z = np.array([[cz, -sz, 0], [sz, cz, 0], [0, 0, 1]])
+    return about_z @ about_y @ about_x
+
+
 def first_problem(error: ValidationError, noun: str = "") -> str:
-    """The first validation problem as `noun.key.path: what is wrong`, without pydantic's decoration."""
+    """Return the first validation problem as `noun.key.path: problem`."""
     problem = error.errors(include_url=False)[0]
     where = one_line(".".join(filter(None, [noun, *map(str, problem["loc"])])))
     match problem["type"]:

@@ -1,4 +1,4 @@
-"""Texture patches, as RenderFormer's H5 scenes store materials: 13 channels on a square grid for each triangle.
+"""Texture patches, the materials of RenderFormer's H5 scenes: 13 channels on a square grid per triangle.
 
 Diffuse 3, specular 3, roughness 1, normal 3, emitted radiance 3. The triangle is the upper left half of the square.
 """
@@ -9,21 +9,21 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 TEXTURE_CHANNELS = 13
-#: The normal channels of a triangle without a normal map.
+#: Normal channels of a triangle without a normal map.
 FLAT_NORMAL = (0.5, 0.5, 1.0)
-#: Where the channels of `SceneTriangles.material` lie in a patch.
+#: Channels of a patch that correspond to `SceneTriangles.material`.
 MATERIAL_CHANNELS = np.array([0, 1, 2, 3, 4, 5, 6, 10, 11, 12])
 NORMAL_CHANNELS = slice(7, 10)
 
 
 def covered_cells(size: int) -> Bool[np.ndarray, "size size"]:
-    """The cells that belong to the triangle: row + column at most `size`, counted from 0. The others are zero."""
+    """Return a mask of the cells of the triangle: row + column at most `size`, from 0. Other cells are zero."""
     index = np.arange(size)
     return index[:, None] + index <= size
 
 
 def is_constant(texture: Float[np.ndarray, "m 13 p p"]) -> bool:
-    """Whether every triangle has one material and no normal map, so that ten numbers say as much as its patch."""
+    """Whether every triangle has one material and no normal map, so that ten numbers replace its patch."""
     covered = covered_cells(texture.shape[-1])
     values = texture[:, :, 0, 0]
     flat = np.array(FLAT_NORMAL, values.dtype)
@@ -32,7 +32,7 @@ def is_constant(texture: Float[np.ndarray, "m 13 p p"]) -> bool:
 
 
 def mean_material(texture: Float[np.ndarray, "m 13 p p"]) -> Float[np.ndarray, "m 10"]:
-    """Rows of `SceneTriangles.material`: the mean over each triangle's cells, exact where they are constant."""
+    """Return rows of `SceneTriangles.material`: the mean over each triangle's cells, exact if they are constant."""
     if is_constant(texture):
         return texture[:, MATERIAL_CHANNELS, 0, 0].astype(np.float32)
     covered = covered_cells(texture.shape[-1])

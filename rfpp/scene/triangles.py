@@ -1,4 +1,4 @@
-"""SceneTriangles: the packed world-space triangles of one scene, which network, G-buffer and Cycles all read."""
+"""SceneTriangles: the packed world-space triangles of a scene, the input of networks, ray casting and Cycles."""
 
 from __future__ import annotations
 
@@ -8,10 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from rfpp.errors import SceneError
-from rfpp.scene.mesh import Mesh, has_area, normalized, without_degenerate_faces
+from rfpp.scene.mesh import Mesh
 from rfpp.scene.shading_normals import corner_normals, shading_groups
-from rfpp.scene.spec import Material, Scene, SceneObject, Vector
+from rfpp.scene.spec import Material, Scene, SceneObject
 
 #: Columns of `SceneTriangles.material`.
 DIFFUSE, SPECULAR, ROUGHNESS, EMISSION = slice(0, 3), slice(3, 6), slice(6, 7), slice(7, 10)
@@ -49,100 +48,53 @@ class SceneTriangles:
 
     @property
     def object_index(self) -> np.ndarray:
-        """[M] int32: the object each triangle belongs to."""
+        """[M] int32 index of each triangle's object."""
         return np.repeat(np.arange(self.num_objects, dtype=np.int32), np.diff(self.object_offsets))
 
     @property
     def light_names(self) -> tuple[str, ...]:
-        """Of the objects that emit light, in order."""
+        """Names of the objects that emit light, in order."""
         return tuple(self.object_names[number] for number in np.unique(self.object_index[self.is_emissive]))
 
     @property
     def num_lights(self) -> int:
-        """How many objects emit light."""
+        """Number of objects that emit light."""
         return len(self.light_names)
 
     @classmethod
     def from_scene(cls, scene: Scene) -> SceneTriangles:
-        """Pack a scene: transforms applied, shading normals made, random colours drawn, zero-area triangles dropped.
+        """Pack the world-space triangles of a scene, with shading normals and without zero-area triangles.
 
         Raises:
-            SceneError: naming the object, if nothing of it is left.
+            SceneError: If nothing of an object is left; names the object.
         """
-        placed, meshes = zip(*world_meshes(scene), strict=True)
+        objects = scene.objects
+        meshes = [item.world_mesh for item in objects]
         return cls(
             positions=np.concatenate([mesh.corners for mesh in meshes]),
-            normals=np.concatenate(
-                [
-                    corner_normals(mesh, item.material.smooth_shading)
-                    for item, mesh in zip(scene.objects, meshes, strict=True)
-                ]
-            ),
-            material=np.concatenate(
-                [
-                    _material_rows(item.material, mesh)
-                    if item.face_material is None
-                    else item.face_material[has_area(before)].astype(np.float32)
-                    for item, before, mesh in zip(scene.objects, placed, meshes, strict=True)
-                ]
-            ),
+            normals=np.concatenate([corner_normals(item.world_mesh, item.material.smooth_shading) for item in objects]),
+            material=np.concatenate([_material_rows(item) for item in objects]),
             object_offsets=np.cumsum([0, *map(len, meshes)], dtype=np.int32),
-            object_names=tuple(item.name for item in scene.objects),
+            object_names=tuple(item.name for item in objects),
         )
 
 
-def rotation_matrix(degrees: Vector) -> Float[np.ndarray, "3 3"]:
-    """Rotation about the world x, then y, then z axis, float64."""
-    (cx, cy, cz), (sx, sy, sz) = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
-    about_x = np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])
-    about_y = np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
-    about_z = np.array([[cz, -sz, 0], [sz, cz, 0], [0, 0, 1]])
-    return about_z @ about_y @ about_x
-
-
-def world_meshes(scene: Scene) -> list[tuple[Mesh, Mesh]]:
-    """Each object's mesh where it stands, whole and without triangles of zero area.
-
-    Raises:
-        SceneError: naming the object, if nothing of it is left or it is not finite.
-    """
-    meshes = []
-    for item in scene.objects:
-        try:
-            placed = _placed(item)
-            meshes.append((placed, without_degenerate_faces(placed)))
-        except SceneError as error:
-            raise SceneError(f"object '{item.name}': {error}") from None
-    return meshes
-
-
-def _placed(item: SceneObject) -> Mesh:
-    """The mesh after its transform, still facing outwards if it was mirrored.
-
-    Shading normals are made from this mesh, as RenderFormer does, so no normal ever needs the inverse transpose.
-    """
-    transform = item.transform
-    mesh = normalized(item.mesh) if transform.normalize else item.mesh
-    rotated = mesh.vertices @ rotation_matrix(transform.rotation).T
-    vertices = rotated * np.array(transform.scale) + np.array(transform.translation)
-    faces = mesh.faces[:, ::-1] if np.prod(np.sign(transform.scale)) < 0 else mesh.faces
-    return Mesh(vertices, faces)
-
-
-def _material_rows(material: Material, mesh: Mesh) -> np.ndarray:
-    """[F, 10] float32."""
+def _material_rows(item: SceneObject) -> Float[np.ndarray, "f 10"]:
+    if (varying := item.world_face_material) is not None:
+        return varying
+    material, faces = item.material, len(item.world_mesh)
     row = np.array([*material.diffuse, *material.specular, material.roughness, *material.emissive], dtype=np.float32)
-    rows = np.tile(row, (len(mesh), 1))
+    rows = np.tile(row, (faces, 1))
     if material.rand_tri_diffuse_seed is not None:
-        rows[:, DIFFUSE] = _random_diffuse(material, mesh)
+        rows[:, DIFFUSE] = _random_diffuse(material, item.world_mesh)
     return rows
 
 
-def _random_diffuse(material: Material, mesh: Mesh) -> np.ndarray:
-    """[F, 3]: one 8-bit colour per triangle or per smoothly shaded part."""
+def _random_diffuse(material: Material, mesh: Mesh) -> Float[np.ndarray, "f 3"]:
+    """Draw one 8-bit colour per triangle or per smoothly shaded part."""
     by_part = material.smooth_shading and material.random_diffuse_type == "per-shading-group"
     groups = shading_groups(mesh, smooth=by_part)
-    # The legacy generator because RenderFormer's converter draws from it: the same seed gives the same colours.
+    # the legacy generator, as in RenderFormer's converter: the same seed gives the same colours
     rng = np.random.RandomState(material.rand_tri_diffuse_seed)
     below = max(1, math.ceil(256 * material.random_diffuse_max))
     return rng.randint(0, below, size=(groups.max() + 1, 3))[groups] / 255

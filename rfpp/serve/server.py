@@ -25,7 +25,7 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
 
 from rfpp.errors import UserError, one_line
-from rfpp.own_machine import refusal
+from rfpp.serve.local_requests import reason_to_refuse
 from rfpp.serve.render_request import Asked
 from rfpp.serve.studio import Left, Studio, UnknownScene
 
@@ -180,7 +180,7 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _require_known(self) -> None:
         """Raises Refused for strangers, and for an add-on of another version."""
-        if why := refusal(self.headers.get("Host"), self.headers.get("Origin")):
+        if why := reason_to_refuse(self.headers.get("Host"), self.headers.get("Origin")):
             raise Refused(HTTPStatus.FORBIDDEN, why)
         given = self.headers.get(_HEADER)
         if given is None:

@@ -14,7 +14,7 @@ from rfpp.files import write_atomically
 from rfpp.shards.index import to_json
 from rfpp.shards.job import MadeScene, SceneTask
 from rfpp.shards.recipe import PlannedShard, Recipe
-from rfpp.shards.writer import ShardWriter, write_json
+from rfpp.shards.writer import write_json, write_shard
 
 #: Folder of unfinished shards in a data set's folder.
 FOLDER = "unfinished"
@@ -107,13 +107,8 @@ class UnfinishedShard:
         Raises:
             UserError: If the disk is full; nothing is lost.
         """
-        writer = ShardWriter(self.recipe.root, self.shard.file, self.recipe.fingerprint)
-        try:
-            for task in self.shard.tasks:
-                writer.add(task.key, **vars(self.folder.read(task.key)))
-            writer.commit()
-        finally:
-            writer.discard()
+        samples = ((task.key, self.folder.read(task.key)) for task in self.shard.tasks)
+        write_shard(self.recipe.root, self.shard.file, self.recipe.fingerprint, samples)
         for task in self.shard.tasks:
             self.folder.remove(task.key)
 

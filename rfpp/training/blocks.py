@@ -20,40 +20,43 @@ from rfpp.model.view_decoder import DecoderBlock
 
 
 def compile_blocks(network: nn.Module) -> None:
-    """Compile every block, once for all numbers of tokens.
+    """Compile every block for any number of tokens.
 
-    Blocks of one kind share their code, and what surrounds them, the planning of ragged attention, is no matter for a
-    compiler.
+    Blocks of one kind share their compiled code. The rest of a network plans ragged attention and is not compiled.
     """
-    # a plan of NumPy's, and kernels that are fused already; not where it is defined, for that imports the compiler
+    # it plans with NumPy and calls fused kernels; disabled here, because the decorator imports the compiler
     attention.attend_bucketed = torch.compiler.disable(attention.attend_bucketed)
     for block in _blocks(network):
         block.forward = torch.compile(block.forward, dynamic=True)
 
 
 class RecomputedBlocks:
-    """Activation checkpointing: each block recomputes its activations in the backward pass."""
+    """Activation checkpointing of each block: its activations are recomputed in the backward pass."""
 
     def __call__(self, network: nn.Module) -> None:
-        """After `compile_blocks`."""
+        """Change a network's blocks; call it after `compile_blocks`."""
         for block in _blocks(network):
             _recompute(block)
 
 
 class RecomputedObjects:
-    """Activation checkpointing with minimal memory: few objects at a time in the encoder, then block by block.
+    """Activation checkpointing with minimal memory: a few objects at a time in the encoder, then block by block.
 
-    What is kept of an object are its tokens. For networks that have object tokens.
+    Only the tokens of an object stay in memory. For networks with object tokens.
 
     Args:
-        triangles: whose tokens are computed at a time; larger objects alone.
+        triangles: Maximum number of triangles encoded at a time; larger objects are encoded alone.
     """
 
     def __init__(self, triangles: int):
         self.triangles = triangles
 
     def __call__(self, network: RenderFormerPP) -> None:
-        """After `compile_blocks`. Raises UserError for a network whose tokens are not of objects."""
+        """Change a network; call it after `compile_blocks`.
+
+        Raises:
+            UserError: If the network has no object tokens.
+        """
         if not isinstance(network.tokenizer, ObjectTokens):
             raise UserError("activation_checkpointing=objects: this network has no object tokens: choose blocks")
         inside = set(network.tokenizer.modules())

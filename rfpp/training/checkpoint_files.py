@@ -14,11 +14,10 @@ import torch
 from lightning.pytorch.plugins.io import TorchCheckpointIO
 
 from rfpp.checkpoint.loading import CHECKPOINT_KEY, read_checkpoint
-from rfpp.checkpoint.renamed import with_current_names
 from rfpp.errors import CheckpointError
 from rfpp.files import write_atomically
 
-#: `checkpoint=auto` goes on from the newest sound checkpoint of the run's folder, if there is one.
+#: `checkpoint=auto` resumes from the newest intact checkpoint of the run's folder, if there is one.
 AUTO = "auto"
 
 
@@ -26,7 +25,7 @@ class AtomicCheckpointIO(TorchCheckpointIO):
     """Writes a temporary file in the same folder and renames it; Lightning uses the system's temporary folder.
 
     Raises:
-        UserError: the disk is full, and the like; the file that was there before is left as it was.
+        UserError: If the file cannot be written, e.g. because the disk is full. An existing file stays unchanged.
     """
 
     def save_checkpoint(self, checkpoint: dict[str, Any], path: str | Path, storage_options: Any = None) -> None:
@@ -36,12 +35,12 @@ class AtomicCheckpointIO(TorchCheckpointIO):
 
 
 def step_file(folder: Path, step: int) -> Path:
-    """File of the checkpoint after `step` steps."""
+    """Return the path of the checkpoint after `step` steps."""
     return folder / f"step-{step:08d}.ckpt"
 
 
 def step_files(folder: Path) -> list[Path]:
-    """Resumable checkpoints, oldest first."""
+    """Return all resumable checkpoints, oldest first."""
     return sorted(folder.glob("step-*.ckpt"))
 
 
@@ -60,17 +59,18 @@ def point_at(target: Path, link: Path) -> None:
 
 
 def checkpoint_to_resume(choice: str | None, folder: Path, model: dict[str, Any]) -> Path | None:
-    """The checkpoint a run starts from; None starts it anew.
+    """Return the checkpoint to resume from; None starts a new run.
 
-    A damaged one is passed over for the one before, with a warning that names it.
+    With AUTO, damaged checkpoints are skipped with a warning.
 
     Args:
-        choice: a path, None or AUTO.
-        folder: of the run's checkpoints.
-        model: config of the network to be trained.
+        choice: Path, None or AUTO.
+        folder: Folder of the run's checkpoints.
+        model: Configuration of the network.
 
     Raises:
-        CheckpointError: the chosen one is missing or damaged, or all of the folder's are; it is of another network.
+        CheckpointError: If the chosen checkpoint, or each one in the folder, is missing or damaged, or if it holds
+            another network.
     """
     if choice is None:
         return None
@@ -78,35 +78,33 @@ def checkpoint_to_resume(choice: str | None, folder: Path, model: dict[str, Any]
     for path in candidates:
         defect = find_defect(path)
         if defect is None:
-            _check_same_network(path, model)
+            _require_same_network(path, model)
             return path
         if choice != AUTO:
             raise CheckpointError(f"{path}: {defect}: choose another checkpoint")
-        warnings.warn(f"{path}: {defect}; going on from the one before", stacklevel=2)
+        warnings.warn(f"{path}: {defect}; trying the checkpoint before", stacklevel=2)
     if candidates:
         raise CheckpointError(
-            f"{folder}: none of the {len(candidates)} checkpoints can be read: "
-            "start anew with checkpoint=null, or in another run_dir"
+            f"{folder}: all {len(candidates)} checkpoints are damaged: start a new run with checkpoint=null or another "
+            "run_dir"
         )
     return None
 
 
 def find_defect(path: Path) -> str | None:
-    """The defect of a checkpoint file, by its checksums; None if it is intact."""
+    """Return the defect of a checkpoint file, found by its checksums; None if it is intact."""
     try:
         with zipfile.ZipFile(path) as archive:
             damaged = archive.testzip()
     except FileNotFoundError:
         return "no such checkpoint"
-    # the last of these is zipfile's word for a header that names a compression it does not know
+    # NotImplementedError: the header names an unknown compression
     except (zipfile.BadZipFile, zlib.error, OSError, EOFError, NotImplementedError) as error:
         return f"truncated or not a checkpoint ({error})"
-    return f"damaged ({damaged} has another checksum than when it was written)" if damaged else None
+    return f"damaged (checksum of {damaged})" if damaged else None
 
 
-def _check_same_network(path: Path, model: dict[str, Any]) -> None:
+def _require_same_network(path: Path, model: dict[str, Any]) -> None:
     about = read_checkpoint(path, mmap=True)[CHECKPOINT_KEY]
-    if not isinstance(about, dict) or with_current_names(about.get("model")) != model:
-        raise CheckpointError(
-            f"{path}: of another network than this command's `model`: give its settings, or start in another run_dir"
-        )
+    if not isinstance(about, dict) or about.get("model") != model:
+        raise CheckpointError(f"{path}: holds another network than `model`: use its settings or another run_dir")

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import OmegaConf
 
 from rfpp.files import write_atomically
 
 
-def write_config(cfg: DictConfig, folder: Path, name: str = "config.yaml") -> Path:
-    """Write the config with every value resolved into `folder`, atomically; returns the file's path."""
+def write_config(cfg: Mapping[str, Any], folder: Path, name: str = "config.yaml") -> Path:
+    """Write a configuration with all values resolved, atomically; return its path."""
     return write_atomically(folder / name, OmegaConf.to_yaml(cfg, resolve=True).encode())

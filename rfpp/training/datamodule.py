@@ -17,7 +17,7 @@ from rfpp.shards.views import AllViews
 from rfpp.training.augmentation import Augmentation
 from rfpp.training.batching import Batching
 from rfpp.training.loader import SceneLoader, SkippingCorrupt, pack_readable
-from rfpp.training.parentage import end_with_parent
+from rfpp.training.signals import exit_with_parent
 from rfpp.training.source import DataSource
 from rfpp.training.views import GlobalBatches, TrainingViews
 
@@ -123,7 +123,7 @@ class SceneDataModule(L.LightningDataModule):
             generator=torch.Generator().manual_seed(self.seed),
             persistent_workers=self.workers > 0,
             multiprocessing_context="spawn" if self.workers else None,
-            worker_init_fn=end_with_parent,
+            worker_init_fn=exit_with_parent,
             pin_memory=self.trainer.strategy.root_device.type == "cuda",
             **options,
         )

@@ -10,14 +10,14 @@ from torch.utils.flop_counter import FlopCounterMode, sdpa_flop_count
 
 from rfpp.batch import RaggedBatch
 
-#: What PyTorch's counter does not know: fused attention on a CPU.
+#: Operations that PyTorch's counter lacks: fused attention on a CPU.
 UNKNOWN_TO_COUNTER = {
     torch.ops.aten._scaled_dot_product_flash_attention_for_cpu: lambda q, k, v, *_, **__: sdpa_flop_count(q, k, v)
 }
-#: Side of the matrices that a device is measured with: large enough to keep it busy, small enough to be soon done.
+#: Side of the matrices that measure a device's rate: large enough to keep it busy.
 MATRIX_SIZE = {"cpu": 1024, "cuda": 8192}
-#: Operations per second in dense products of matrices in bfloat16, summed in float32, from NVIDIA's data sheets.
-#: A name that begins with another stands before it.
+#: Operations per second in dense bfloat16 matrix products, summed in float32, from NVIDIA's data sheets.
+#: Longer names come first.
 PUBLISHED_PEAKS = {
     "NVIDIA H100 PCIe": 756e12,
     "NVIDIA H100 NVL": 835e12,
@@ -29,18 +29,17 @@ PUBLISHED_PEAKS = {
     "NVIDIA GeForce RTX 4090": 165e12,
     "NVIDIA GeForce RTX 3090": 71e12,
 }
-#: Seconds that measuring takes.
+#: Seconds of a measurement.
 MEASURED_FOR = 0.5
-#: The best of so many counts: whatever else the machine does only slows.
+#: Number of trials, of which the fastest counts: other processes can only slow it down.
 TRIALS = 5
 
 
 @torch.no_grad()
 def training_flops(network: nn.Module, batch: RaggedBatch) -> float:
-    """Operations of a forward and a backward pass, which is twice a forward one.
+    """Count the operations of a forward and a backward pass; the latter takes twice as many as the former.
 
-    Counted in a forward pass of its own, that neither draws random numbers from training's generators nor compiles.
-    What is computed anew in the backward pass to save memory does not count: it is no progress.
+    Runs a forward pass, which changes no random state and compiles nothing. Recomputed activations do not count.
     """
     devices = [batch.positions.device] if batch.positions.is_cuda else []
     counter = FlopCounterMode(display=False, custom_mapping=UNKNOWN_TO_COUNTER)
@@ -50,7 +49,7 @@ def training_flops(network: nn.Module, batch: RaggedBatch) -> float:
 
 
 def published_peak(device: torch.device, dtype: torch.dtype) -> float | None:
-    """The vendor's peak matrix rate of this card; None if card or dtype is not listed."""
+    """Return the vendor's peak rate of this GPU; None if GPU or dtype is not listed."""
     if device.type != "cuda" or dtype != torch.bfloat16:
         return None
     name = torch.cuda.get_device_name(device)
@@ -59,9 +58,9 @@ def published_peak(device: torch.device, dtype: torch.dtype) -> float | None:
 
 @torch.no_grad()
 def matrix_product_rate(device: torch.device, dtype: torch.dtype) -> float:
-    """Measured operations per second of this device in products of large matrices."""
+    """Measure the operations per second of a device in products of large matrices."""
     size = MATRIX_SIZE.get(device.type, MATRIX_SIZE["cpu"])
-    a = torch.randn(size, size, device=device, dtype=dtype)  # constants take less power, and a GPU then runs faster
+    a = torch.randn(size, size, device=device, dtype=dtype)  # not constant: that takes less power
 
     def seconds(products: int) -> float:
         begin = time.perf_counter()
@@ -71,6 +70,6 @@ def matrix_product_rate(device: torch.device, dtype: torch.dtype) -> float:
             torch.cuda.synchronize(device)
         return time.perf_counter() - begin
 
-    seconds(2)  # the first ones choose and load their kernels
+    seconds(2)  # warm-up: chooses and loads kernels
     products = max(1, int(MEASURED_FOR / TRIALS / seconds(1)))
     return 2 * size**3 * products / min(seconds(products) for _ in range(TRIALS))

@@ -10,7 +10,7 @@ from torch.utils.data import DataLoader, Dataset
 
 from rfpp.batch import RaggedBatch, SceneViews
 from rfpp.errors import ShardError, UserError
-from rfpp.training.stopping import unheard_by_loaders
+from rfpp.training.signals import loaders_protected
 
 
 class SceneLoader(DataLoader):
@@ -20,7 +20,7 @@ class SceneLoader(DataLoader):
     """
 
     def __iter__(self) -> Iterator[Any]:
-        with unheard_by_loaders():
+        with loaders_protected():
             batches = super().__iter__()
         try:
             yield from batches

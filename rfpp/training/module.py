@@ -1,8 +1,8 @@
-"""The LightningModule: network, loss and logging."""
+"""LightningModule that trains a network."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from typing import Any
 
@@ -14,24 +14,22 @@ from torch.optim.lr_scheduler import LRScheduler
 
 from rfpp.batch import RaggedBatch
 from rfpp.checkpoint.loading import CHECKPOINT_KEY, CheckpointInfo
-from rfpp.errors import UserError
 from rfpp.imaging.radiance import log_decode
 from rfpp.losses.rendering import RenderingLoss
 from rfpp.metrics.image import ImageMetrics
-from rfpp.model.layers.block import CrossAttention, SelfAttention, SwiGLU
 from rfpp.model.renderformer_pp import Rendering
 
 
 class RenderingModule(L.LightningModule):
-    """Trains a network to render.
+    """Network, loss and logging.
 
     Args:
-        network: RaggedBatch → Rendering.
-        loss: see RenderingLoss.
-        metrics: of validation, on linear radiance.
-        optimizer: parameter groups → optimizer.
-        schedule: optimizer → learning-rate schedule, stepped once per optimizer step.
-        info: what the checkpoint says about itself, so that it can be loaded without this class.
+        network: Maps a RaggedBatch to a Rendering.
+        loss: Training loss.
+        metrics: Validation metrics, on linear radiance.
+        optimizer: Builds the optimizer from parameter groups.
+        schedule: Builds the learning-rate schedule of an optimizer.
+        info: Description of the network in checkpoints, from which they load without this class.
     """
 
     def __init__(
@@ -51,6 +49,7 @@ class RenderingModule(L.LightningModule):
         return self.network(batch)
 
     def training_step(self, batch: RaggedBatch, _: int) -> dict[str, Tensor]:
+        """Return `loss` and `tokens`, the number of scene tokens."""
         rendering = self(batch)
         terms = self.loss(
             rendering.log_radiance,
@@ -58,49 +57,35 @@ class RenderingModule(L.LightningModule):
             batch.image,
             rendering.token_segments,
         )
-        named_elsewhere = ("loss", "consistency_")  # the second by ConsistencyMonitor
-        scalars = {f"train/{k}": v.detach() for k, v in terms.items() if not k.startswith(named_elsewhere)}
-        self.log("train/loss", terms["loss"].detach(), prog_bar=True, batch_size=len(batch.keys))
-        self.log_dict(scalars, batch_size=len(batch.keys))
-        # a step takes the mean over its batches: where scenes were left out, those that are there keep their weight
-        loss = terms["loss"] * (len(batch.keys) / self.trainer.datamodule.scenes_per_batch)
-        return terms | {"loss": loss, "tokens": torch.tensor(rendering.token_segments.total)}
+        scenes = len(batch.keys)
+        self.log("train/loss", terms["loss"].detach(), prog_bar=True, batch_size=scenes)
+        others = {metric_name(term): value.detach() for term, value in terms.items() if term != "loss"}
+        rate = self.optimizers(use_pl_optimizer=False).param_groups[0]["lr"]  # the same in all groups
+        self.log_dict({**others, "train/learning_rate": rate}, batch_size=scenes)
+        # a step averages over its batches; weighting by scenes gives each scene the same weight if others are skipped
+        loss = terms["loss"] * (scenes / self.trainer.datamodule.scenes_per_batch)
+        return {"loss": loss, "tokens": torch.tensor(rendering.token_segments.total)}
 
     def validation_step(self, batch: RaggedBatch, _: int) -> dict[str, Tensor]:
-        """Logs every metric; returns for the callbacks `radiance` [B, V, 3, H, W] and every metric's values [B · V]."""
+        """Log all metrics; return `radiance` [B, V, 3, H, W] for callbacks."""
         radiance = log_decode(self(batch).log_radiance)
-        values = self.metrics(radiance.flatten(0, 1), batch.image.flatten(0, 1))
-        for name, per_image in values.items():
-            self.log(
-                f"validation/{name}",
-                per_image.mean(),
-                batch_size=len(per_image),
-                sync_dist=True,
-                prog_bar=name == "log_l1",
-            )
-        return {"radiance": radiance, **values}
+        for name, per_image in self.metrics(radiance.flatten(0, 1), batch.image.flatten(0, 1)).items():
+            self.log(f"validation/{name}", per_image.mean(), batch_size=len(per_image), sync_dist=True)
+        return {"radiance": radiance}
 
     def configure_optimizers(self) -> dict[str, Any]:
         optimizer = self._optimizer(decay_groups(self.network))
-        return {
-            "optimizer": optimizer,
-            "lr_scheduler": {"scheduler": self._schedule(optimizer), "interval": "step", "name": "learning_rate"},
-        }
+        return {"optimizer": optimizer, "lr_scheduler": {"scheduler": self._schedule(optimizer), "interval": "step"}}
 
     def configure_gradient_clipping(
         self, optimizer: Optimizer, gradient_clip_val: float | None = None, gradient_clip_algorithm: str | None = None
     ) -> None:
-        """Clip by the global norm. Lightning's own refuses fused optimizers, for a scaler that bfloat16 has not."""
+        """Clip gradients by their global norm, and log it.
+
+        Lightning's implementation rejects fused optimizers, because of a gradient scaler that bfloat16 does not need.
+        """
         norm = torch.nn.utils.clip_grad_norm_(self.network.parameters(), gradient_clip_val or float("inf"))
         self.log("train/gradient_norm", norm)
-
-    def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
-        """Raises UserError if the checkpoint's state is of another optimizer."""
-        (state,) = checkpoint["optimizer_states"]
-        if _shape(state["param_groups"]) != _shape(self._optimizer(decay_groups(self.network)).param_groups):
-            raise UserError(
-                "the run to resume had another optimizer: set it so, or start anew from its weights (initial_weights)"
-            )
 
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
         checkpoint[CHECKPOINT_KEY] = replace(
@@ -108,19 +93,14 @@ class RenderingModule(L.LightningModule):
         ).to_dict()
 
 
-#: Key of a parameter group: of each parameter, whether it is a matrix of a hidden layer; some optimizers ask.
-HIDDEN = "hidden"
+def metric_name(term: str) -> str:
+    """Return the metric of a loss term: `train/l1`, or `consistency/k1` for the residual of the first iteration."""
+    prefix, _, number = term.rpartition("_")
+    return f"consistency/k{number}" if prefix == "consistency" and number.isdigit() else f"train/{term}"
 
 
 def decay_groups(network: nn.Module) -> list[dict]:
-    """Two parameter groups: weight decay (the optimizer's) for matrices, none for norms, biases and tokens."""
-    layers = [part for part in network.modules() if isinstance(part, SelfAttention | CrossAttention | SwiGLU)]
-    hidden = {p for layer in layers for p in layer.parameters() if p.ndim == 2}
+    """Return two parameter groups: matrices with weight decay, and vectors such as norms and biases without."""
     matrices = [p for p in network.parameters() if p.ndim >= 2]
     others = [p for p in network.parameters() if p.ndim < 2]
-    return [{"params": matrices, HIDDEN: [p in hidden for p in matrices]}, {"params": others, "weight_decay": 0.0}]
-
-
-def _shape(groups: Sequence[Mapping[str, Any]]) -> list[tuple[int, bool]]:
-    """Properties in which optimizer states must agree: parameters per group, and use of momentum only."""
-    return [(len(group["params"]), "betas" in group) for group in groups]
+    return [{"params": matrices}, {"params": others, "weight_decay": 0.0}]

@@ -1,4 +1,4 @@
-"""Learning-rate schedules, per optimizer step."""
+"""Learning-rate schedules, stepped once per optimizer step."""
 
 from __future__ import annotations
 
@@ -9,7 +9,14 @@ from torch.optim.lr_scheduler import LambdaLR
 
 
 def warmup_cosine(optimizer: Optimizer, warmup_steps: int, total_steps: int, final_fraction: float) -> LambdaLR:
-    """Linear warm-up from zero, then cosine decay from the optimizer's rate to `final_fraction` of it."""
+    """Return a schedule with linear warm-up and cosine decay.
+
+    Args:
+        optimizer: Optimizer with the maximum learning rate.
+        warmup_steps: Steps of the warm-up.
+        total_steps: Steps of the whole run.
+        final_fraction: Fraction of the maximum learning rate at the end.
+    """
 
     def factor(step: int) -> float:
         if step < warmup_steps:

@@ -1,60 +1,104 @@
-"""Remember stop signals from process start.
+"""Signals that stop a training run: remembered by its ranks, blocked in its loader processes.
 
-This imports nothing that takes long, so that launch/train.py can watch before it imports what does.
+This module imports nothing heavy, so that launch/train.py can watch signals before it imports PyTorch.
 """
 
 from __future__ import annotations
 
+import atexit
 import os
 import signal
 import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from multiprocessing import active_children, parent_process
 from types import FrameType
 
-#: What Slurm is asked to send before the time limit (launch/slurm/train.sbatch): save, and come back.
-COME_BACK = signal.SIGUSR1
-#: What `scancel`, `kill` and a machine that shuts down send: save, and end.
-END = signal.SIGTERM
-#: What Ctrl-C sends: the same. It is a wish to go on another time.
-INTERRUPT = signal.SIGINT
+from rfpp.child_signals import blocked_in_children
 
-#: From the one that yields to the others to the one that prevails where ranks have received different ones: what a
-#: person or an administrator has said counts for more than what was arranged before.
-BY_WEIGHT = (COME_BACK, INTERRUPT, END)
+#: Sent by Slurm before the time limit (launch/slurm/train.sbatch): save, and requeue the job.
+REQUEUE = signal.SIGUSR1
+#: Sent by Ctrl-C: save, and exit.
+INTERRUPT = signal.SIGINT
+#: Sent by `scancel`, `kill` and a machine that shuts down: save, and exit.
+TERMINATE = signal.SIGTERM
+
+#: By increasing priority, for ranks that received different signals: a person's signal overrides a scheduled one.
+BY_PRIORITY = (REQUEUE, INTERRUPT, TERMINATE)
 
 
 class StopSignals:
-    """Remembers received signals.
+    """Remembers received signals; the training loop acts on them at the next step boundary.
 
-    Nothing is done inside the handler: ranks get a signal at different moments, and one that starts to save in the
-    middle of another's all-reduce waits for ever.
+    The handler does not save: ranks receive signals at different moments, and a rank that saves while another waits in
+    an all-reduce would deadlock.
 
     Attributes:
-        received: the weightiest signal so far, or None.
+        received: Received signal of highest priority, or None.
     """
 
     def __init__(self) -> None:
         self.received: signal.Signals | None = None
 
     def watch(self) -> None:
-        """Start watching; replaces other handlers, such as Lightning's, which save and communicate inside."""
-        if self.received != INTERRUPT:  # else the next Ctrl-C has been promised to end the process
+        """Install the handlers, replacing others such as Lightning's, which save inside the handler."""
+        if self.received != INTERRUPT:  # else the next Ctrl-C must end the process
             signal.signal(INTERRUPT, self._remember)
-        for number in (COME_BACK, END):
+        for number in (REQUEUE, TERMINATE):
             signal.signal(number, self._remember)
 
     def take(self) -> signal.Signals | None:
-        """Return the received signal and clear it; the caller handles it."""
+        """Return the received signal and clear it."""
         received, self.received = self.received, None
         return received
 
     def _remember(self, number: int, _: FrameType | None) -> None:
         candidates = {signal.Signals(number), self.received} - {None}
-        self.received = max(candidates, key=BY_WEIGHT.index)
+        self.received = max(candidates, key=BY_PRIORITY.index)
         if number == INTERRUPT:
-            signal.signal(INTERRUPT, signal.SIG_DFL)  # the system then ends the process, whatever it waits for
-            if os.environ.get("LOCAL_RANK", "0") == "0":  # a terminal's Ctrl-C reaches all of its ranks
+            signal.signal(INTERRUPT, signal.SIG_DFL)  # a second Ctrl-C ends the process at once
+            if os.environ.get("LOCAL_RANK", "0") == "0":  # a terminal sends Ctrl-C to all ranks
                 print("\nstopping after this step; Ctrl-C again ends at once", file=sys.stderr, flush=True)
 
 
-#: Of this process, which has one handler for each signal.
+#: Signals received by this process.
 STOP_SIGNALS = StopSignals()
+
+
+@contextmanager
+def loaders_protected() -> Iterator[None]:
+    """Block stop signals in loader processes that are started in this block.
+
+    A signal to the whole job would kill the loaders, and training with them, before the ranks have saved. Loaders
+    still alive when this process exits are killed, since they ignore the SIGTERM that multiprocessing sends.
+    """
+    try:
+        with blocked_in_children(BY_PRIORITY):
+            yield
+    finally:
+        # registered last, so that it runs before the exit handlers of multiprocessing and PyTorch, which would wait
+        atexit.unregister(_kill_loaders)
+        atexit.register(_kill_loaders)
+
+
+def _kill_loaders() -> None:
+    signal.signal(signal.SIGCHLD, signal.SIG_DFL)  # PyTorch's handler raises when a loader is killed
+    for child in active_children():
+        if child.daemon:
+            child.kill()
+
+
+def exit_with_parent(worker: int = 0) -> None:
+    """End this loader process when its training process has ended, even if that was killed.
+
+    Args:
+        worker: Number of the loader, passed by DataLoader.
+    """
+    if (parent := parent_process()) is not None:
+        threading.Thread(target=_exit_after, args=(parent,), name="parent-watch", daemon=True).start()
+
+
+def _exit_after(parent: object) -> None:
+    parent.join()
+    os._exit(1)

@@ -27,7 +27,7 @@ class DataSource:
     """
 
     root: Root | Sequence[Root]
-    cache: ShardCache
+    cache: ShardCache | None
     training_scenes: int | None
     validation_scenes: int
     skip_corrupt: bool

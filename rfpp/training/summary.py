@@ -1,20 +1,55 @@
-"""The summary printed when training ends."""
+"""Text printed when training starts and ends."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
+
+import torch
+from torch import nn
 
 from rfpp.metrics.image import METRICS
+from rfpp.training.datamodule import SceneDataModule
+from rfpp.training.plan import TrainingPlan
+from rfpp.training.run import parameter_counts
 from rfpp.training.tracking.journal import JOURNAL, records
 from rfpp.training.tracking.run_logger import RunLogger
 
 
+def start_summary(
+    cfg: Mapping[str, Any],
+    plan: TrainingPlan,
+    network: nn.Module,
+    datamodule: SceneDataModule,
+    logger: RunLogger,
+    device: torch.device,
+) -> str:
+    """Summarize network, data, batches, devices, precision and output folders."""
+    counts = parameter_counts(network)
+    stages = ", ".join(f"{name} {count / 1e6:.2f}M" for name, count in counts.items() if name != "total")
+    data = datamodule.manifest
+    scenes, views = datamodule.batching.scenes_per_step, datamodule.batching.views_per_scene
+    share = scenes // plan.ranks
+    return (
+        f"Network  {counts['total'] / 1e6:.1f}M parameters: {stages}\n"
+        f"Data     {data.root}: {data.counts['scenes']} scenes, {data.counts['images']} images "
+        f"of {cfg['data']['resolution']}² (manifest {data.hash[:12]})\n"
+        f"Steps    {cfg['steps']} of {scenes} scenes x {views} views = {scenes * views} images\n"
+        f"Devices  {plan.ranks} x {_name(device)}, {share} scenes each, {share // plan.accumulate_grad_batches} at a "
+        f"time, {plan.precision}\n"
+        f"Writes   {cfg['run_dir']}, {logger.location}"
+    )
+
+
 def end_summary(logger: RunLogger, checkpoint: Path, data_root: str, monitor: str) -> str:
-    """Summary at the end: best validation score, its checkpoint, tracking, and commands to evaluate and render.
+    """Summarize the best validation, its checkpoint, the logs, and the commands to evaluate and render.
 
     Args:
-        checkpoint: the best one.
-        monitor: the metric it is best in, the lower the better, e.g. "validation/log_l1".
+        logger: Logger of the run.
+        checkpoint: Best checkpoint.
+        data_root: Folder or URL of the data set.
+        monitor: Metric that selects the best checkpoint, the lower the better, e.g. "validation/log_l1".
     """
     validations = [
         record
@@ -30,12 +65,15 @@ def end_summary(logger: RunLogger, checkpoint: Path, data_root: str, monitor: st
             if f"validation/{name}" in best["values"]
         )
         lines.append(f"Best     step {best['step'] + 1}: {scores}")
-    lines.append(f"Written  {checkpoint}")
-    if logger.registered_model:
-        lines.append(f"Model    {logger.registered_model}")
     lines += [
-        logger.whereabouts,
+        f"Written  {checkpoint}, {logger.location}",
         f"Evaluate python launch/evaluate.py data.root={data_root} checkpoint={checkpoint}",
         f"Render   python launch/render.py scene=data/scenes/cornell_box.json checkpoint={checkpoint}",
     ]
     return "\n".join(lines)
+
+
+def _name(device: torch.device) -> str:
+    if device.type == "cuda":
+        return torch.cuda.get_device_name(device)
+    return f"CPU (threads: {torch.get_num_threads()})" if device.type == "cpu" else device.type

@@ -16,7 +16,6 @@ from rfpp.inference.renderer import Renderer
 from rfpp.scene.packed import PackedScene
 from rfpp.scene.spec import Camera, Scene
 from rfpp.viewer.controls import ObjectControls, ToneMaps, add_reference, add_saving, add_view
-from rfpp.viewer.guard import guarded
 from rfpp.viewer.layers import layers_of
 from rfpp.viewer.reference import PathTracer
 from rfpp.viewer.session import Drawn, Session, View
@@ -63,7 +62,7 @@ class Viewer:
         self._turn = threading.Lock()
         self._sessions: dict[int, Session] = {}
         _require_address(host, port)
-        with guarded(), redirect_stdout(StringIO()):  # it announces itself in a box
+        with redirect_stdout(StringIO()):  # viser prints a box
             self._server = viser.ViserServer(host=host, port=port, label=f"rfpp: {scene.name}", verbose=False)
         self._server.scene.set_up_direction("+z")
         self._server.on_client_connect(self._welcome)

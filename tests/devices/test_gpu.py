@@ -137,7 +137,7 @@ def test_images_are_those_of_the_cpu(scene):
     images = {}
     for device, precision in (("cpu", "fp32"), ("cuda", "fp32"), ("cuda", "bf16")):
         with exact_products():
-            renderer = Renderer.load("rfpp-tiny", device=device, precision=precision)
+            renderer = Renderer.load("radiosity", device=device, precision=precision)
             images[device, precision] = np.log10(1 + renderer.render(scene, resolution=64))
     expected = images["cpu", "fp32"]
     assert np.abs(images["cuda", "fp32"] - expected).max() < 1e-3

@@ -40,7 +40,7 @@ def folder(tmp_path_factory) -> Path:
 
 @cache
 def renderer() -> Renderer:
-    return Renderer.load("rfpp-tiny", "cpu")
+    return Renderer.load("radiosity", "cpu")
 
 
 def load(path: Path, content: bytes) -> None:

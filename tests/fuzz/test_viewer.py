@@ -1,4 +1,4 @@
-"""Whatever a browser sends: values within what its page offers, and no request of a stranger's page is answered."""
+"""Values from a browser stay within what the page offers, and requests of foreign pages are refused."""
 
 import math
 from types import SimpleNamespace
@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from mutations import JSON_VALUES
 
-from rfpp.own_machine import refusal
+from rfpp.serve.local_requests import reason_to_refuse
 from rfpp.viewer.control_values import choice, colour, number, vector
 
 pytestmark = pytest.mark.timeout(36_000)  # of thousands
@@ -39,7 +39,7 @@ ADDRESSES = st.from_regex(r"[a-z0-9.\-\[\]:@/%]{0,30}", fullmatch=True) | st.tex
 @fuzzed
 @given(ADDRESSES, st.none() | ADDRESSES.map(lambda host: f"http://{host}"))
 def test_requests(host: str, origin: str | None) -> None:
-    with attempt("requests to the viewer") as one:
-        why = refusal(host, origin)
+    with attempt("requests to the server") as one:
+        why = reason_to_refuse(host, origin)
         one.taken = why is None
         assert why is not None or origin in (None, f"http://{host}")

@@ -68,8 +68,8 @@ def test_the_package_is_imported(bare):
 
 def test_training_needs_no_tracking(trained):
     folder, said = trained
-    assert f"Writes   {folder}, its metrics in metrics.csv" in said
-    assert f"Metrics  {folder}/metrics.csv" in said
+    assert f"Writes   {folder}, metrics in {folder}/metrics.csv" in said
+    assert f"Written  {folder}/checkpoints/best.ckpt, metrics in {folder}/metrics.csv" in said
     assert "MLflow" not in said
     assert {path.name for path in (folder / "checkpoints").iterdir()} >= {"best.ckpt", "last.ckpt"}
     assert {path.name for path in (folder / "panels").iterdir()} >= {"panels-000002.png", "bounces-000002.png"}
@@ -97,7 +97,7 @@ def test_it_is_evaluated_without_tracking(trained, bare):
 
 
 def test_a_picture_is_rendered_by_what_was_trained_and_by_what_comes_with_the_project(trained, bare, tmp_path):
-    for name, checkpoint in (("own", trained[0] / "checkpoints" / "last.ckpt"), ("shipped", "rfpp-tiny")):
+    for name, checkpoint in (("own", trained[0] / "checkpoints" / "last.ckpt"), ("shipped", "radiosity")):
         bare(
             "launch/render.py", "scene=data/scenes/cornell_box.json", f"checkpoint={checkpoint}", "cameras=[0]",
             f"output={tmp_path}/{name}.exr", "resolution=32", "device=cpu",
@@ -106,13 +106,13 @@ def test_a_picture_is_rendered_by_what_was_trained_and_by_what_comes_with_the_pr
 
 
 def test_rendering_imports_neither_lightning_nor_mlflow(bare):
-    frameworks = "{'lightning', 'pytorch_lightning', 'mlflow', 'torchmetrics', 'matplotlib'}"
+    frameworks = "{'lightning', 'pytorch_lightning', 'mlflow', 'torchmetrics', 'torchvision', 'matplotlib'}"
     assert bare("-c", f"import sys, launch.render; print(sorted({frameworks} & sys.modules.keys()))") == "[]\n"
 
 
 def test_a_network_is_loaded_without_pytorchs_compiler(bare):
     """Which takes as long to import as all of PyTorch."""
-    load = "import sys, rfpp; rfpp.Renderer.load('rfpp-tiny', 'cpu'); print('torch._dynamo' in sys.modules)"
+    load = "import sys, rfpp; rfpp.Renderer.load('radiosity', 'cpu'); print('torch._dynamo' in sys.modules)"
     assert bare("-c", load) == "False\n"
 
 
@@ -146,6 +146,15 @@ MISSED = {
 def test_a_missing_extra_is_named_in_one_line(bare, extra, command):
     said = bare(*command, code=1)
     assert re.fullmatch(rf"error: .*pip install .*\[{extra}\]'\n", said), said
+
+
+def test_the_default_loss_asks_for_the_extra_of_training(trained, bare):
+    data = f"data.root={trained[0].parent}/data"
+    said = bare(
+        "launch/train.py", "experiment=quickstart", "debug=cpu", "logger=none", *SMALLEST, data, "data.resolution=8",
+        code=1,
+    )  # fmt: skip
+    assert said == "error: lpips is not installed: pip install 'rfpp[training]'\n"
 
 
 def test_a_model_of_the_registry_asks_for_tracking(bare, tmp_path):

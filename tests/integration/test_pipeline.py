@@ -120,7 +120,7 @@ def test_training_refuses_a_damaged_shard_and_names_it(trained, composed, render
     (root / shard).write_bytes(content)
     cfg = composed(
         "train", "experiment=quickstart", "debug=cpu", f"data.root={root}", "loss.lpips_weight=0.0",
-        "trainer.fast_dev_run=8",
+        f"run_dir={tmp_path}/run", "logger=none",
     )  # fmt: skip
     with pytest.raises(SystemExit) as stop:
         main.__wrapped__(cfg)

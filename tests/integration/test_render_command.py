@@ -83,7 +83,7 @@ def test_several_scenes_with_layers_and_a_tone_map(render, tmp_path):
 
 def test_lights_apart_are_layers_that_add_up(render, tmp_path):
     [file], _ = render(
-        f"scene={save_scene(scene(), tmp_path / 'six.json')}", "checkpoint=rfpp-tiny", "lights=separate", "cameras=[0]"
+        f"scene={save_scene(scene(), tmp_path / 'six.json')}", "checkpoint=radiosity", "lights=separate", "cameras=[0]"
     )
     layers = read_exr(file)
     assert layers.keys() == {"RGB", "light_lamp", "light_spot"}
@@ -93,7 +93,7 @@ def test_lights_apart_are_layers_that_add_up(render, tmp_path):
 
 def test_bounces_apart_are_layers_that_add_up_beside_those_of_lights(render, tmp_path):
     [file], _ = render(
-        f"scene={save_scene(scene(), tmp_path / 'six.json')}", "checkpoint=rfpp-tiny", "lights=separate",
+        f"scene={save_scene(scene(), tmp_path / 'six.json')}", "checkpoint=radiosity", "lights=separate",
         "bounces=separate", "transports=2", "cameras=[0]",
     )  # fmt: skip
     layers = read_exr(file)

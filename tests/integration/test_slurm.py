@@ -42,7 +42,7 @@ def submitted(slurm, folder: Path, *options: str, run: tuple[str, ...] = RUN) ->
 
 
 @requires_slurm
-def test_a_preempted_and_a_killed_job_are_requeued_and_go_on(slurm, tmp_path):
+def test_a_preempted_and_a_killed_job_are_requeued_and_resume(slurm, tmp_path):
     job, data, run_dir = submitted(slurm, tmp_path)
     wait_for_step(run_dir, 2)
     slurm.signal(job, "USR1")
@@ -54,7 +54,7 @@ def test_a_preempted_and_a_killed_job_are_requeued_and_go_on(slurm, tmp_path):
     stops = [line for line in log.splitlines() if "stopped by" in line]
     assert len(stops) == 1
     assert f"of 12: job {job} is requeued" in stops[0]
-    assert "".join(log.splitlines()).count(f"Goes on from {run_dir}/checkpoints/") == 2, log
+    assert "".join(log.splitlines()).count(f"Resumes  {run_dir}/checkpoints/") == 2, log
     ended = torch.load(run_dir / "checkpoints" / "last.ckpt", weights_only=True)
     assert ended["global_step"] == 12
     assert len(ended["random_states"]) == 2
@@ -62,7 +62,7 @@ def test_a_preempted_and_a_killed_job_are_requeued_and_go_on(slurm, tmp_path):
 
 
 @requires_slurm
-def test_slurm_says_itself_when_time_is_running_out(slurm, tmp_path):
+def test_slurm_signals_before_the_time_limit(slurm, tmp_path):
     """Its clock has a resolution of half a minute: two minutes less one and a half, or less one."""
     run = ("steps=190", "trainer.val_check_interval=190", *RUN[2:])  # a minute at least
     job, _, run_dir = submitted(slurm, tmp_path, "--time=2", "--signal=SIGUSR1@60", run=run)
@@ -73,19 +73,19 @@ def test_slurm_says_itself_when_time_is_running_out(slurm, tmp_path):
     [stopped] = [line for line in log.splitlines() if "stopped by SIGUSR1" in line]
     assert f"of 190: job {job} is requeued" in stopped  # what Slurm says of it may follow in the same line
     step = int(stopped.split("after step ")[1].split()[0])
-    assert f"Goes on from {step_file(run_dir / 'checkpoints', step)}" in "".join(log.splitlines())
+    assert f"Resumes  {step_file(run_dir / 'checkpoints', step)}" in "".join(log.splitlines())
     assert torch.load(run_dir / "checkpoints" / "last.ckpt", weights_only=True)["global_step"] == 190
 
 
 @requires_slurm
-def test_a_cancelled_job_saves_and_ends(slurm, tmp_path):
+def test_a_cancelled_job_saves_and_exits(slurm, tmp_path):
     job, _, run_dir = submitted(slurm, tmp_path)
     wait_for_step(run_dir, 1)
     slurm.cancel(job)
     assert slurm.wait(job) == ["CANCELLED"]
     log = (tmp_path / "log").read_text()
     [stopped] = [line for line in log.splitlines() if "stopped by SIGTERM after step" in line]
-    assert stopped.endswith(f"the same command with run_dir={run_dir} goes on")
+    assert stopped.endswith(f"resume with the same command and run_dir={run_dir}")
     step = int(stopped.split("after step ")[1].split()[0])
     assert (run_dir / "checkpoints" / "last.ckpt").resolve() == step_file(run_dir / "checkpoints", step)
 

@@ -8,17 +8,16 @@ from rfpp.losses import perceptual as perceptual_module
 from rfpp.losses.perceptual import PerceptualLoss
 from rfpp.metrics.image import ImageMetrics
 from rfpp.metrics.lpips import LPIPS
-from rfpp.metrics.lpips_weights import linear_weights
 
 
 @pytest.fixture(scope="module")
 def lpips() -> LPIPS:
-    return LPIPS(random_trunk(), linear_weights())
+    return LPIPS(random_trunk())
 
 
 @pytest.fixture
-def make_loss(lpips, monkeypatch):
-    monkeypatch.setattr(perceptual_module.LPIPS, "pretrained", classmethod(lambda cls, path: lpips))
+def make_loss(monkeypatch):
+    monkeypatch.setattr(perceptual_module, "load_trunk", random_trunk)
     return PerceptualLoss
 
 

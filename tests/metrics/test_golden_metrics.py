@@ -5,7 +5,6 @@ import pytest
 import torch
 from skimage.metrics import structural_similarity
 from torch import nn
-from torchmetrics.functional.image import lpips as torchmetrics_lpips
 
 from rfpp.metrics.image import ImageMetrics
 
@@ -69,12 +68,9 @@ def test_ssim_is_skimages_when_the_border_is_mirrored_for_it(metrics, pair) -> N
         assert abs(inside.mean() - similarity.mean()) > 1e-3  # the border matters, so the tolerance says something
 
 
-def test_lpips_is_torchmetrics_on_the_tone_mapped_image(metrics, pair, random_trunk, monkeypatch) -> None:
-    """torchmetrics' own network and linear weights; only its trunk, which torchvision would give, is random."""
-    monkeypatch.setattr(torchmetrics_lpips, "_get_tv_model_features", lambda *_: _vgg16_features(random_trunk))
-    theirs = torchmetrics_lpips._NoTrainLpips(net="vgg", pnet_rand=True)
+def test_lpips_is_of_the_tone_mapped_image(metrics, pair, random_lpips) -> None:
     x, y = (torch.from_numpy(2 * _tone_mapped(images) - 1).float() for images in pair)
-    torch.testing.assert_close(metrics(*pair)["lpips"], theirs(x, y).flatten(), rtol=1e-3, atol=1e-5)
+    torch.testing.assert_close(metrics(*pair)["lpips"], random_lpips(x, y), rtol=1e-3, atol=1e-5)
 
 
 @pytest.mark.parametrize("radiance", [0.0, 1e-6, 1e-3, 0.01, 1.0, 1e4])
@@ -121,17 +117,3 @@ def test_images_of_another_precision_are_cast_before_anything_is_computed(metric
     for name in metrics.names:
         assert values[name].dtype == torch.float32
         assert torch.equal(values[name], expected[name]), name
-
-
-def _vgg16_features(trunk: dict[str, torch.Tensor]) -> nn.Sequential:
-    """torchvision's `vgg16().features` up to what LPIPS reads, with these weights."""
-    layers = []
-    for channels in (64, 64, "pool", 128, 128, "pool", 256, 256, 256, "pool", 512, 512, 512, "pool", 512, 512, 512):
-        if channels == "pool":
-            layers.append(nn.MaxPool2d(2, 2))
-        else:
-            inputs = next((layer.out_channels for layer in reversed(layers) if isinstance(layer, nn.Conv2d)), 3)
-            layers += [nn.Conv2d(inputs, channels, 3, padding=1), nn.ReLU()]
-    features = nn.Sequential(*layers)
-    features.load_state_dict({name.removeprefix("features."): value for name, value in trunk.items()})
-    return features

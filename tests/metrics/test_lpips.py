@@ -1,40 +1,61 @@
 import copy
 
+import lpips
 import numpy as np
 import pytest
 import torch
+from safetensors.torch import save_file
 from torch import nn
 
-from rfpp.metrics.lpips import LPIPS
-from rfpp.metrics.lpips_weights import CONV_CHANNELS, linear_weights
+from rfpp.errors import MissingDependencyError
+from rfpp.metrics.lpips import LPIPS, TRUNK, load_trunk, trunk_file
 
 
 def _images(seed: int, n: int = 2, size: int = 32) -> torch.Tensor:
     return 2 * torch.rand(n, 3, size, size, generator=torch.Generator().manual_seed(seed)) - 1
 
 
+def _of_the_package(trunk: dict) -> lpips.LPIPS:
+    network = lpips.LPIPS(net="vgg", pnet_rand=True, verbose=False)
+    network.net.load_state_dict(dict(zip(network.net.state_dict(), trunk.values(), strict=True)))
+    return network
+
+
 def _written_out(trunk: dict, linear: list, a: torch.Tensor, b: torch.Tensor) -> float:
     """The metric of one pair in float64, layer by layer as the paper states it."""
-    names = iter(CONV_CHANNELS)
+    values = iter(trunk.values())
     shift, scale = np.array([-0.030, -0.088, -0.188]), np.array([0.458, 0.448, 0.450])
     x, y = (torch.tensor((image.numpy().transpose(1, 2, 0) - shift) / scale).permute(2, 0, 1)[None] for image in (a, b))
     distance = 0.0
     for stage, depth in enumerate([2, 2, 3, 3, 3]):
         if stage:
             x, y = nn.MaxPool2d(2, 2)(x), nn.MaxPool2d(2, 2)(y)
-        for name in [next(names) for _ in range(depth)]:
-            weight, bias = trunk[f"{name}.weight"].double(), trunk[f"{name}.bias"].double()
+        for _ in range(depth):
+            weight, bias = next(values).double(), next(values).double()
             x, y = (nn.ReLU()(nn.functional.conv2d(z, weight, bias, padding=1)) for z in (x, y))
         f, g = (z[0].permute(1, 2, 0).numpy() for z in (x, y))
         f, g = (z / np.maximum(np.linalg.norm(z, axis=-1, keepdims=True), 1e-10) for z in (f, g))
-        distance += ((f - g) ** 2 @ linear[stage].double().numpy()).mean()
+        distance += ((f - g) ** 2 @ linear[stage].numpy()).mean()
     return float(distance)
 
 
 def test_equals_the_formula_written_out(random_trunk, random_lpips) -> None:
     a, b = _images(0), _images(1)
-    expected = [_written_out(random_trunk, linear_weights(), x, y) for x, y in zip(a, b, strict=True)]
+    linear = [layer.model[1].weight.detach().flatten().double() for layer in _of_the_package(random_trunk).lins]
+    expected = [_written_out(random_trunk, linear, x, y) for x, y in zip(a, b, strict=True)]
     torch.testing.assert_close(random_lpips(a, b), torch.tensor(expected), rtol=1e-4, atol=1e-6)
+
+
+def test_equals_the_forward_of_the_package_in_value_and_gradient(random_trunk, random_lpips) -> None:
+    theirs, (a, b) = _of_the_package(random_trunk), (_images(0), _images(1))
+    values, gradients = [], []
+    for metric in (random_lpips, theirs):
+        image = a.clone().requires_grad_()
+        values.append(metric(image, b).flatten())
+        values[-1].sum().backward()
+        gradients.append(image.grad)
+    torch.testing.assert_close(*values)
+    torch.testing.assert_close(*gradients, rtol=1e-3, atol=1e-6)
 
 
 def test_pretrained_values_do_not_move(pretrained_lpips) -> None:
@@ -66,7 +87,7 @@ def test_gradient_matches_a_finite_difference(random_lpips) -> None:
 def test_gradient_is_finite_where_all_features_vanish(random_trunk) -> None:
     dead = {k: v if k.endswith("weight") else torch.full_like(v, -100.0) for k, v in random_trunk.items()}
     image = _images(0, n=1, size=16).requires_grad_()
-    LPIPS(dead, linear_weights())(image, _images(1, n=1, size=16)).sum().backward()
+    LPIPS(dead)(image, _images(1, n=1, size=16)).sum().backward()
     assert image.grad.isfinite().all()
 
 
@@ -96,9 +117,27 @@ def test_modes_and_casts_of_the_owner_do_not_reach_it(random_lpips) -> None:
 
 def test_frozen_trunk_gathers_no_gradient(random_lpips) -> None:
     random_lpips(_images(0).requires_grad_(), _images(1)).sum().backward()
-    assert all(not w.requires_grad and w.grad is None for pair in random_lpips._convolutions for w in pair)
+    assert all(not w.requires_grad and w.grad is None for w in random_lpips._network.parameters())
 
 
-def test_too_small_images_are_refused(random_lpips) -> None:
-    with pytest.raises(ValueError, match="16 pixels"):
-        random_lpips(_images(0, size=8), _images(1, size=8))
+def test_construction_draws_no_random_numbers(random_trunk) -> None:
+    before = torch.get_rng_state()
+    LPIPS(random_trunk)
+    assert torch.equal(torch.get_rng_state(), before)
+
+
+@pytest.mark.parametrize("damage", ["missing", "cut off", "other values", "other network"])
+def test_an_invalid_cache_names_the_command_in_one_line(tmp_path, monkeypatch, random_trunk, damage) -> None:
+    trunk = load_trunk()
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    trunk_file().parent.mkdir()
+    if damage == "cut off":
+        save_file(trunk, trunk_file())
+        trunk_file().write_bytes(trunk_file().read_bytes()[:5000])
+    elif damage == "other values":
+        save_file(random_trunk, trunk_file())
+    elif damage == "other network":
+        save_file({TRUNK[0]: trunk[TRUNK[0]]}, trunk_file())
+    with pytest.raises(MissingDependencyError, match="vgg16-trunk.safetensors: .*`rfpp weights`") as error:
+        load_trunk()
+    assert "\n" not in str(error.value)

@@ -85,8 +85,3 @@ def test_the_order_of_the_triangles_does_not_matter() -> None:
     order = np.random.default_rng(0).permutation(len(mesh))
     shuffled = Mesh(mesh.vertices, mesh.faces[order])
     np.testing.assert_allclose(corner_normals(shuffled, True), corner_normals(mesh, True)[order], atol=1e-6)
-
-
-def test_without_smooth_shading_every_face_is_a_group() -> None:
-    mesh = from_trimesh(trimesh.creation.icosphere(1))
-    np.testing.assert_array_equal(shading_groups(mesh, smooth=False), np.arange(len(mesh)))

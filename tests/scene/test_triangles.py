@@ -8,8 +8,8 @@ import trimesh
 
 from rfpp.errors import SceneError
 from rfpp.scene.mesh import Mesh
-from rfpp.scene.spec import Material, Scene, SceneObject, Transform
-from rfpp.scene.triangles import DIFFUSE, EMISSION, ROUGHNESS, SPECULAR, SceneTriangles, rotation_matrix
+from rfpp.scene.spec import Material, Scene, SceneObject, Transform, rotation_matrix
+from rfpp.scene.triangles import DIFFUSE, EMISSION, ROUGHNESS, SPECULAR, SceneTriangles
 
 MATERIAL = Material(diffuse=(0.5, 0.4, 0.3), specular=(0.1, 0.1, 0.1), roughness=0.7)
 SPHERE = trimesh.creation.icosphere(2)

@@ -91,7 +91,7 @@ def compare(killed: Path, uninterrupted: Path) -> int:
     for run in (killed, uninterrupted):
         checkpoints.append(torch.load(run / "checkpoints" / "last.ckpt", weights_only=True))
         histories.append(loss_history(checkpoints[-1]["rfpp"]))
-        restarts = "".join(Path(f"{run}.log").read_text().splitlines()).count("Goes on from")  # whose lines are cut
+        restarts = "".join(Path(f"{run}.log").read_text().splitlines()).count("Resumes  ")  # Slurm cuts lines
         print(f"{run.name}: step {checkpoints[-1]['global_step']}, {restarts} restarts, ", end="")
         print(f"weights {weights_hash(checkpoints[-1])}, MLflow has the loss of {len(histories[-1])} steps")
     different = differing(*checkpoints)

@@ -7,7 +7,7 @@ import trimesh
 
 from rfpp.scene.sampling.objects.folder import FolderObjects
 from rfpp.scene.sampling.objects.library import Library
-from rfpp.scene.sampling.objects.library_building import one_by_one, prepare
+from rfpp.scene.sampling.objects.library_building import prepare
 from rfpp.scene.sampling.objects.preparation import Preparation
 
 GOOD = ("ball.obj", "rings/ring.ply", "rings/deep/capsule.stl", "table.glb", "box.gltf", "cone.OBJ")
@@ -46,8 +46,13 @@ def bowl() -> trimesh.Trimesh:
 
 
 def source(folder: Path, root: Path, held_out: float = 0.4, **preparation) -> FolderObjects:
-    settings = {"max_faces": 400, "min_faces": 4, "non_watertight": "reject"} | preparation
+    settings = {"max_faces": 400, "min_faces": 4, "non_watertight": "reject", "most_parts": 1, "up": "z"} | preparation
     return FolderObjects(str(root), held_out, Preparation(**settings), str(folder))
+
+
+def one_by_one(job, items):
+    """Apply the job to each item in this process."""
+    return ((item, job(item)) for item in items)
 
 
 def prepared(objects: FolderObjects) -> Library:

@@ -33,6 +33,6 @@ def batch_for(net: RenderFormerPP, resolution: int = 16, scenes: int = 2) -> Rag
 
 def loss() -> RenderingLoss:
     return RenderingLoss(
-        l1_weight=1.0, lpips_weight=0.0, consistency_weight=0.1, lpips_images_per_step=None, lpips_trunk_path=None,
+        l1_weight=1.0, lpips_weight=0.0, consistency_weight=0.1, lpips_images_per_step=None,
         consistency_stop_gradient=False,
     )  # fmt: skip

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
 from types import SimpleNamespace
 
@@ -21,7 +21,8 @@ class StillTrainer(L.Trainer):
     # Lightning has properties for these
     global_step = global_rank = max_steps = 0
     world_size = accumulate_grad_batches = log_every_n_steps = 1
-    is_global_zero, fast_dev_run, sanity_checking, precision = True, False, False, "32-true"
+    is_global_zero, sanity_checking, precision = True, False, "32-true"
+    callback_metrics: Mapping[str, torch.Tensor] = {}
     loggers: Sequence[Logger] = ()
     checkpoint_callback = None
     strategy = SimpleNamespace(root_device=torch.device("cpu"), reduce=lambda values, reduce_op: values)

@@ -31,7 +31,7 @@ def test_activations_computed_twice_give_the_same_gradients(policy, share):
 
 def test_a_network_without_object_tokens_cannot_be_taken_object_by_object():
     with pytest.raises(UserError, match="choose blocks"):
-        RecomputedObjects(60)(network("experiment=renderformer"))
+        RecomputedObjects(60)(network("experiment=[large_scale,paper/renderformer]"))
 
 
 def test_compiled_blocks_give_the_same_gradients_for_any_number_of_tokens(in_process):

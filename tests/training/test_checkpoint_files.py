@@ -1,4 +1,4 @@
-"""The files a run goes on from: whole or not at all, and the newest sound one is found."""
+"""Checkpoint files are written completely or not at all, and the newest intact one is resumed."""
 
 import errno
 import os
@@ -55,40 +55,40 @@ def test_the_newest_is_resumed(folder):
 
 
 @pytest.mark.parametrize("how", ["flipped bit", "empty", "half", "but the last byte"])
-def test_a_damaged_one_is_passed_over_by_name(folder, how):
+def test_a_damaged_checkpoint_is_skipped_with_a_warning(folder, how):
     damage(step_file(folder, 300), how)
-    with pytest.warns(UserWarning, match=r"step-00000300\.ckpt: .*; going on from the one before"):
+    with pytest.warns(UserWarning, match=r"step-00000300\.ckpt: .*; trying the checkpoint before"):
         assert checkpoint_to_resume(AUTO, folder, INFO.model) == step_file(folder, 20)
     with pytest.raises(CheckpointError, match=r"step-00000300\.ckpt: .*: choose another checkpoint"):
         checkpoint_to_resume(str(step_file(folder, 300)), folder, INFO.model)
 
 
 @pytest.mark.filterwarnings("ignore::UserWarning")
-def test_a_run_does_not_start_anew_where_all_are_damaged(folder):
+def test_no_new_run_starts_if_all_are_damaged(folder):
     for path in step_files(folder):
         damage(path, "half")
-    with pytest.raises(CheckpointError, match="none of the 3 checkpoints can be read: start anew with checkpoint=null"):
+    with pytest.raises(CheckpointError, match="all 3 checkpoints are damaged: start a new run with checkpoint=null"):
         checkpoint_to_resume(AUTO, folder, INFO.model)
 
 
-def test_another_network_is_refused(folder):
+def test_a_checkpoint_of_another_network_is_refused(folder):
     other = replace(INFO, model={"width": 4})
-    with pytest.raises(CheckpointError, match="of another network than this command's `model`"):
+    with pytest.raises(CheckpointError, match="holds another network than `model`"):
         checkpoint_to_resume(AUTO, folder, other.model)
 
 
-def test_a_missing_one_is_named(folder):
+def test_a_missing_checkpoint_is_named(folder):
     with pytest.raises(CheckpointError, match="gone.ckpt: no such checkpoint"):
         checkpoint_to_resume(str(folder / "gone.ckpt"), folder, INFO.model)
 
 
-def test_the_newest_are_kept_and_half_written_ones_are_not(folder):
+def test_the_newest_are_kept_and_partial_files_are_deleted(folder):
     (folder / ".step-00000301.ckpt.x7").write_bytes(b"half")
     keep_newest(folder, 2)
     assert {path.name for path in folder.iterdir()} == {"step-00000020.ckpt", "step-00000300.ckpt"}
 
 
-def test_a_full_disk_leaves_what_was_there(folder, monkeypatch):
+def test_a_full_disk_leaves_the_old_file_unchanged(folder, monkeypatch):
     def full(*_):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
@@ -102,7 +102,7 @@ def test_a_full_disk_leaves_what_was_there(folder, monkeypatch):
     assert len(list(folder.iterdir())) == 3
 
 
-def test_a_link_is_moved_at_once(folder):
+def test_a_link_is_replaced(folder):
     for step in (20, 300):
         point_at(step_file(folder, step), folder / "last.ckpt")
     assert (folder / "last.ckpt").resolve() == step_file(folder, 300)

@@ -10,16 +10,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from safetensors import safe_open
 from small_data import make
 from training_runs import differing, finish, output, start, train, wait_for_step
 
 from rfpp.training.checkpoint_files import step_file, step_files
+from rfpp.training.tracking.journal import JOURNAL, records
 
 STEPS = 10
 RUN = (f"steps={STEPS}", "trainer.val_check_interval=4")
 #: Where summing in another order may not be magnified, as Adam does with gradients near zero.
 PLAIN_DESCENT = ("optimizer._target_=torch.optim.SGD", "optimizer.lr=0.3", "trainer.precision=32-true")
+LOGGED = {"train/loss", "validation/log_l1"}
 PRECISIONS = {"fp32": ("trainer.precision=32-true", "callbacks=ema"), "bf16": ("trainer.precision=bf16-mixed",)}
 
 
@@ -51,6 +52,13 @@ def last(run_dir: Path) -> dict:
     return torch.load(run_dir / "checkpoints" / "last.ckpt", weights_only=True)
 
 
+def logged(run_dir: Path) -> list[tuple[int, str, float]]:
+    """Losses and validation scores in the journal."""
+    metrics = [record for record, _ in records(run_dir / JOURNAL) if record["kind"] == "metrics"]
+    values = [(r["step"], name, r["values"][name]) for r in metrics for name in LOGGED & r["values"].keys()]
+    return sorted(values)
+
+
 def weights(checkpoint: dict) -> torch.Tensor:
     return torch.cat([w.flatten() for name, w in sorted(checkpoint["state_dict"].items())])
 
@@ -73,18 +81,23 @@ def test_killed_at_random_moments_it_ends_with_the_same_bits(precision, uninterr
         [s["best_model_score"] for s in c["callbacks"].values() if "best_model_score" in s] for c in (ended, whole)
     ]
     assert len(scores[0]) == 1 and scores[0] == scores[1]
+    assert logged(run_dir) == logged(uninterrupted[precision])
+    assert [step for step, name, _ in logged(run_dir) if name == "train/loss"] == list(range(STEPS))
     assert not list((run_dir / "checkpoints").glob(".*"))
 
 
-def test_a_truncated_newest_checkpoint_is_passed_over(uninterrupted, data, folder):
+def test_a_truncated_newest_checkpoint_is_skipped(uninterrupted, data, folder):
+    """The one before was saved after a validation, which is not repeated."""
     run_dir = folder / "truncated"
     shutil.copytree(uninterrupted["bf16"] / "checkpoints", run_dir / "checkpoints", symlinks=True)
-    newest = step_file(run_dir / "checkpoints", STEPS)
+    newest, before = (step_file(run_dir / "checkpoints", step) for step in (STEPS, STEPS - 2))
+    step_file(run_dir / "checkpoints", STEPS - 1).unlink()
     newest.write_bytes(newest.read_bytes()[:-1000])
     ended = train(run_dir, data, *RUN, *PRECISIONS["bf16"])
     assert f"warning: {newest}: truncated" in output(run_dir)
-    assert f"Goes on from {step_file(run_dir / 'checkpoints', STEPS - 1)}" in " ".join(output(run_dir).split())
+    assert f"Resumes  {before}" in output(run_dir)
     assert differing(ended, last(uninterrupted["bf16"])) == []
+    assert logged(run_dir) == [x for x in logged(uninterrupted["bf16"]) if x[0] >= STEPS - 2]
 
 
 @pytest.mark.parametrize("how", ["accumulated", "two ranks", "one rank, then two"])
@@ -121,7 +134,7 @@ def test_ranks_stop_together_when_one_is_told_to_and_say_how_to_go_on(folder, da
     assert finish(processes) == [128 + signal.SIGTERM, 0], output(run_dir)
     stopped_at = last(run_dir)["global_step"]
     assert 2 <= stopped_at < STEPS
-    said = f"stopped by SIGTERM after step {stopped_at} of {STEPS}: the same command with run_dir={run_dir} goes on"
+    said = f"stopped by SIGTERM after step {stopped_at} of {STEPS}: resume with the same command and run_dir={run_dir}"
     assert said in output(run_dir)
     ended = train(run_dir, data, *RUN, *PLAIN_DESCENT, ranks=2)
     assert differing(ended, two_ranks) == []
@@ -135,7 +148,7 @@ def test_control_c_saves_and_the_same_command_goes_on(folder, data, uninterrupte
     assert finish([process]) == [128 + signal.SIGINT], output(run_dir)
     stopped_at = last(run_dir)["global_step"]
     assert 2 <= stopped_at < STEPS
-    said = f"stopped by SIGINT after step {stopped_at} of {STEPS}: the same command with run_dir={run_dir} goes on"
+    said = f"stopped by SIGINT after step {stopped_at} of {STEPS}: resume with the same command and run_dir={run_dir}"
     assert said in output(run_dir)
     assert differing(train(run_dir, data, *RUN, *PRECISIONS["bf16"]), last(uninterrupted["bf16"])) == []
 
@@ -150,7 +163,7 @@ def test_ranks_agree_on_checkpoints_by_time(folder, data):
     assert 2 <= saved < 40  # as each takes longer than a twentieth of the steps before the next
 
 
-def test_a_loss_that_is_not_finite_stops_training_and_leaves_its_batch(folder, data):
+def test_a_loss_that_is_not_finite_stops_training_and_names_its_scenes(folder, data):
     run_dir = folder / "exploding"
     settings = (
         *PLAIN_DESCENT,
@@ -160,14 +173,10 @@ def test_a_loss_that_is_not_finite_stops_training_and_leaves_its_batch(folder, d
     )
     assert finish(start(run_dir, data, *RUN, *settings)) == [1]
     errors = [line for line in output(run_dir).splitlines() if line.startswith("error: ")]
-    (path, *rest) = sorted((run_dir / "non_finite").iterdir())
+    (path,) = (run_dir / "non_finite").iterdir()
     step = int(path.name.split("-")[1])
     assert len(errors) == 1 and f"step {step}: the loss or its gradient is not finite" in errors[0]
-    assert len(rest) == 1 and rest[0].name == f"step-{step:08d}-rank0-batch1.safetensors"
-    with safe_open(path, "pt") as file:
-        about = file.metadata()
-        assert file.get_tensor("image").shape == (2, 1, 3, 8, 8)
-        assert {"positions", "material", "objects", "scenes", "gbuffer", "c2w"} <= set(file.keys())
-    assert len(json.loads(about["keys"])) == 2
-    assert not np.isfinite(float(about["loss"]))
+    batches = json.loads(path.read_text())
+    assert [len(batch["scenes"]) for batch in batches] == [2, 2]
+    assert not np.isfinite([float(batch["loss"]) for batch in batches]).all()
     assert max(step_files(run_dir / "checkpoints")) == step_file(run_dir / "checkpoints", step - 1)

@@ -9,7 +9,7 @@ from rfpp.batch import RaggedBatch
 from rfpp.training.flops import training_flops
 
 
-@pytest.mark.parametrize("experiment", ["large_scale", "renderformer"])
+@pytest.mark.parametrize("experiment", ["large_scale", "[large_scale,paper/renderformer]"])
 def test_fused_attention_is_counted_as_what_it_computes(experiment):
     """On "meta" there are no kernels: attention is composed of matrix products there."""
     net = network(f"experiment={experiment}")

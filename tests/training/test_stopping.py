@@ -47,8 +47,7 @@ def test_a_signal_while_the_program_is_imported_is_not_its_death(tmp_path):
     for number, process in running.items():
         _, said = process.communicate(timeout=120)
         assert process.returncode == 128 + number, said
-        stopped = f"stopped by {number.name} before step 1 of 20, with nothing to save: the same command with run_dir="
-        assert stopped in said
+        assert f"stopped by {number.name} after step 0 of 20: resume with the same command and run_dir=" in said
 
 
 def test_a_second_control_c_ends_at_once_and_watching_imports_nothing_that_takes_long():
@@ -94,8 +93,7 @@ def test_the_wish_to_end_prevails(handlers, order):
 class Steps(L.Trainer):
     """A trainer of steps that take so many seconds of a clock, and so many seconds to save."""
 
-    fast_dev_run, world_size, is_global_zero, accumulate_grad_batches = False, 1, True, 1
-    num_val_batches, val_check_batch = (), 1
+    world_size, is_global_zero, accumulate_grad_batches = 1, True, 2
     global_step = max_steps = 0
 
     def __init__(self, monkeypatch, steps: int, seconds: float, saving: float):
@@ -109,13 +107,14 @@ class Steps(L.Trainer):
         self.now += self.saving
 
     def train(self, callback: ResumableCheckpoints) -> list[int]:
-        """Returns the steps after which the callback saved."""
-        module, batch = L.LightningModule(), RaggedBatch.__new__(RaggedBatch)  # nobody looks at them
+        """Return the steps after which the callback saved."""
+        module, batch = L.LightningModule(), RaggedBatch.__new__(RaggedBatch)  # not used
         callback.on_train_start(self, module)
-        while self.global_step < self.max_steps:
-            self.global_step += 1
-            self.now += self.seconds
-            callback.on_train_batch_end(self, module, None, batch, self.global_step - 1)
+        for index in range(self.max_steps * self.accumulate_grad_batches):
+            callback.on_train_batch_start(self, module, batch, index)
+            self.now += self.seconds / self.accumulate_grad_batches
+            self.global_step += index % self.accumulate_grad_batches
+        callback.on_train_epoch_end(self, module)
         return self.saved
 
 
@@ -123,24 +122,24 @@ class Steps(L.Trainer):
     ("minutes", "every", "seconds", "saving", "expected"),
     [
         (2.0, 500, 30.0, 1.0, [4, 8, 10]),
-        (2.0, 3, 30.0, 1.0, [3, 6, 9, 10]),  # what comes first; then time begins anew
+        (2.0, 3, 30.0, 1.0, [3, 6, 9, 10]),  # whichever comes first; then time starts again
         (None, 500, 30.0, 1.0, [10]),
-        (2.0, 500, 130.0, 13.0, [1, 3, 5, 7, 9, 10]),  # 13 s is too much for every two minutes
+        (2.0, 500, 130.0, 13.0, [1, 3, 5, 7, 9, 10]),  # 13 s are too many for every two minutes
         (2.0, 500, 130.0, 30.0, [1, 6, 10]),
     ],
 )
-def test_checkpoints_come_by_steps_and_by_time(
+def test_checkpoints_are_saved_by_steps_and_by_time(
     handlers, monkeypatch, tmp_path, minutes, every, seconds, saving, expected
 ):
     trainer = Steps(monkeypatch, 10, seconds, saving)
     assert trainer.train(ResumableCheckpoints(str(tmp_path), every, minutes, keep=3)) == expected
 
 
-def test_what_came_before_training_stops_it_before_its_first_step(handlers, monkeypatch, tmp_path):
+def test_a_signal_before_training_stops_it_before_its_first_step(handlers, monkeypatch, tmp_path):
     STOP_SIGNALS.watch()
     signal.raise_signal(signal.SIGTERM)
     trainer = Steps(monkeypatch, 10, 1.0, 1.0)
-    with pytest.raises(StoppedError, match="SIGTERM before step 1 of 10, with nothing to save") as stopped:
+    with pytest.raises(StoppedError, match="SIGTERM after step 0 of 10") as stopped:
         trainer.train(ResumableCheckpoints(str(tmp_path), 1, None, keep=3))
     assert stopped.value.signal == signal.SIGTERM
     assert trainer.saved == []

@@ -1,9 +1,8 @@
-"""What a training leaves in MLflow: every metric, pictures, parameters, and a model to load from there."""
+"""A training run in MLflow: metrics, pictures, parameters, and a model to load from there."""
 
 import warnings
 from pathlib import Path
 
-import numpy as np
 import pytest
 import torch
 from hydra import compose, initialize_config_dir
@@ -35,7 +34,7 @@ def tracked(tmp_path_factory):
     overrides = [
         "experiment=quickstart", "debug=cpu", f"data.root={data}", "data.resolution=8", f"steps={STEPS}",
         "trainer.val_check_interval=2", "loss.lpips_weight=0.0", f"run_dir={folder}/run", f"logger.folder={folder}",
-        "callbacks.panels.scenes=1", "schedule.warmup_steps=1", "callbacks.scores_by_size.edges=[5,100]",
+        "callbacks.panels.scenes=1", "schedule.warmup_steps=1",
         "size.width=54", "size.heads=1", "size.hidden=64",
     ]  # fmt: skip
     with initialize_config_dir(str(CONFIG_DIR), version_base="1.3"):
@@ -45,7 +44,7 @@ def tracked(tmp_path_factory):
     return folder, checkpoint, client, client.get_run(load_network(checkpoint)[1].mlflow_run_id)
 
 
-def test_every_step_is_measured(tracked):
+def test_every_step_is_logged(tracked):
     _, _, client, run = tracked
     every_step = {"train/loss", "train/l1", "train/consistency", "train/learning_rate", "train/gradient_norm"}
     every_step |= {"consistency/k1", "consistency/k2", "consistency/k3", "memory/resident"}
@@ -57,6 +56,7 @@ def test_every_step_is_measured(tracked):
         assert steps == list(range(STEPS)), name
     assert 0 < run.data.metrics["throughput/flop_utilisation"] < 1.5
     assert run.data.metrics["system/cpu_utilization_percentage"] >= 0
+    assert run.data.params["plan.precision"] in ("32-true", "bf16-mixed")
 
 
 def test_rates_are_those_of_the_batch(tracked):
@@ -69,15 +69,10 @@ def test_rates_are_those_of_the_batch(tracked):
     assert rate["tokens"] / rate["scenes"] == pytest.approx(8 * objects + bundles)
 
 
-def test_every_validation_is_scored_by_size_and_shown(tracked):
+def test_every_validation_is_scored_and_shown(tracked):
     folder, _, client, run = tracked
     for name in ("log_l1", "l1", "mape", "ssim", "psnr"):
-        whole = client.get_metric_history(run.info.run_id, f"validation/{name}")
-        (bucket,) = (key for key in run.data.metrics if key.startswith(f"validation_{name}/"))
-        assert bucket.endswith("/5_to_99_triangles")
-        by_size = client.get_metric_history(run.info.run_id, bucket)
-        assert [m.step for m in by_size] == [m.step for m in whole] == [1, 3]
-        np.testing.assert_allclose([m.value for m in by_size], [m.value for m in whole], rtol=1e-4)
+        assert [m.step for m in client.get_metric_history(run.info.run_id, f"validation/{name}")] == [1, 3]
     pictures = {path.name for path in (folder / "run" / "panels").iterdir()}
     assert pictures == {f"{sheet}-00000{step}.png" for sheet in ("panels", "bounces") for step in (2, 4)}
     assert {Path(a.path).name for a in client.list_artifacts(run.info.run_id, "panels")} == pictures
@@ -110,10 +105,10 @@ def test_unused_tokens_are_warned_of_once():
         monitor.warn_if_unused(0.02)
 
 
-def test_the_run_says_what_ran(tracked):
+def test_the_run_records_settings_data_and_code(tracked):
     _, checkpoint, client, run = tracked
     assert run.info.status == "FINISHED"
-    assert run.data.params["model.transport.iterations"] == "8"
+    assert run.data.params["model.transport.iterations"] == "3"
     tags = run.data.tags
     assert {"code_version", "data_manifest", "host", "run_dir"} <= tags.keys()
     assert tags["resumed"] == "0"
@@ -134,9 +129,6 @@ def test_the_best_checkpoint_is_loaded_from_the_registry(tracked):
     assert checkpoint_file("models:/rfpp-debug/latest", None, folder) == fetched
     version = client.get_model_version("rfpp-debug", "1")
     assert version.run_id == run.info.run_id
-    description = Path(client.download_artifacts(run.info.run_id, "model/MLmodel", str(folder))).read_text()
-    assert '"name": "scene"' in description
-    assert "loader_module" not in description  # nothing that MLflow would execute
 
 
 @pytest.mark.parametrize(

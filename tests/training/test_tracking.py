@@ -1,4 +1,4 @@
-"""One MLflow run per run folder: across kills, and whether or not MLflow is there."""
+"""One MLflow run per run folder, across kills and server outages."""
 
 import json
 import os
@@ -17,13 +17,13 @@ from mlflow import MlflowClient
 from rfpp.errors import UserError
 from rfpp.training.tracking.__main__ import main as send
 from rfpp.training.tracking.journal import Journal, records
-from rfpp.training.tracking.local import LocalLogger
-from rfpp.training.tracking.logger import RunFolderLogger
+from rfpp.training.tracking.mlflow_logger import MlflowLogger
+from rfpp.training.tracking.run_logger import RunLogger
 
 
 @pytest.fixture(scope="module")
 def empty_database(tmp_path_factory):
-    """MLflow takes longer to make its tables than any test here takes."""
+    """MLflow takes seconds to create its tables."""
     path = tmp_path_factory.mktemp("database") / "mlflow.db"
     MlflowClient(f"sqlite:///{path}").search_experiments()
     return path
@@ -36,7 +36,7 @@ def store(tmp_path, empty_database):
 
 
 def logger(folder, uri=None, run="run", patience=60.0, parent=None):
-    return RunFolderLogger("rfpp", run, folder / run, folder, uri, parent, patience)
+    return MlflowLogger("rfpp", run, folder / run, folder, uri, parent, patience)
 
 
 def history(folder, run_id, name, uri=None):
@@ -49,14 +49,14 @@ def runs(folder):
     return client.search_runs([client.get_experiment_by_name("rfpp").experiment_id])
 
 
-# What a training does: it logs every step, and begins again at its last checkpoint, of every tenth step.
+# A training that logs every step and resumes from its last checkpoint, saved every tenth step.
 TRAINING = """
 import sys, time
 from pathlib import Path
-from rfpp.training.tracking.logger import RunFolderLogger
+from rfpp.training.tracking.mlflow_logger import MlflowLogger
 
 folder = Path(sys.argv[1])
-logger = RunFolderLogger("rfpp", "run", folder / "run", folder, None, None, 60.0)
+logger = MlflowLogger("rfpp", "run", folder / "run", folder, None, None, 60.0)
 checkpoint = folder / "checkpoint"
 start = int(checkpoint.read_text()) if checkpoint.exists() else 0
 for step in range(start, int(sys.argv[2])):
@@ -71,12 +71,12 @@ logger.finalize("success")
 """
 
 
-def test_a_killed_run_goes_on_in_the_same_mlflow_run_without_gaps_or_repetitions(store):
+def test_a_killed_run_resumes_in_the_same_mlflow_run_without_gaps_or_repetitions(store):
     def train(until):
         return subprocess.Popen([sys.executable, "-c", TRAINING, str(store), str(until)], stdout=subprocess.PIPE)
 
     with train(100_000) as process:
-        process.stdout.readline()  # the run is known to MLflow
+        process.stdout.readline()  # MLflow has created the run
         time.sleep(3)  # and some of it is sent
         process.send_signal(signal.SIGKILL)
     until = max(record["step"] for record, _ in records(store / "run/tracking/journal.jsonl") if "step" in record) + 10
@@ -88,14 +88,14 @@ def test_a_killed_run_goes_on_in_the_same_mlflow_run_without_gaps_or_repetitions
     assert [step for step, _ in history(store, run.info.run_id, "speed")] == list(range(until))
 
 
-def test_what_is_sent_twice_is_there_once(store):
+def test_records_sent_twice_are_stored_once(store):
     first = logger(store)
     first.log_metrics({"a": 1.0, "not a number": float("nan")}, 0)
     first.log_hyperparams({"x": {"y": 1}})
     first.log_file(_png(store / "run" / "a.png"), "pictures")
     first.finalize("success")
     target = store / "run/tracking/run.json"
-    target.write_text(json.dumps(json.loads(target.read_text()) | {"sent": 0}))  # killed before it was noted
+    target.write_text(json.dumps(json.loads(target.read_text()) | {"sent": 0}))  # not written yet
 
     assert send([str(store / "run")]) == 0
     (run,) = runs(store)
@@ -122,7 +122,7 @@ def test_a_lost_run_id_is_found_again(store):
     first.log_metrics({"a": 0.0}, 2)
     first.finalize("success")
     target = store / "run/tracking/run.json"
-    target.write_text(json.dumps(json.loads(target.read_text()) | {"run_id": None}))  # killed before it was noted
+    target.write_text(json.dumps(json.loads(target.read_text()) | {"run_id": None}))  # not written yet
     again = logger(store)
     again.log_metrics({"a": 1.0}, 3)
     again.finalize("success")
@@ -181,11 +181,11 @@ def server(tmp_path, empty_database):
 
 
 @pytest.mark.filterwarnings("ignore:MLflow at")
-def test_a_server_that_is_away_is_caught_up_with(server, tmp_path, capsys):
+def test_an_unreachable_server_receives_everything_later(server, tmp_path, capsys):
     away = logger(tmp_path, server.uri, patience=2.0)
     before = time.monotonic()
     away.log_metrics({"a": 0.0}, 0)
-    assert time.monotonic() - before < 1  # logging waits for nobody
+    assert time.monotonic() - before < 1  # logging does not wait
     assert away.run_id is None
 
     server.start()
@@ -212,7 +212,7 @@ def test_a_server_that_is_away_is_caught_up_with(server, tmp_path, capsys):
     assert list((tmp_path / "served").rglob("a.png"))
 
 
-def test_a_refused_record_is_said_and_the_rest_goes_on(store):
+def test_a_refused_record_is_warned_of_and_the_rest_is_sent(store):
     tracked = logger(store)
     tracked.log_file(store / "run" / "deleted.png")
     tracked.log_metrics({"a": 1.0}, 0)
@@ -247,14 +247,14 @@ def test_a_journal_cut_short_loses_its_last_line_alone(tmp_path):
     assert [record["values"] for record, _ in records(path)] == [{"a": 1.0}, {"a": 2.0, "b": 3.0}]
 
 
-def test_a_damaged_record_is_warned_of_and_left_out(tmp_path):
+def test_a_damaged_record_is_warned_of_and_omitted(tmp_path):
     path = tmp_path / "journal.jsonl"
     path.write_bytes(b'\0\0\0\n[1]\n{"kind": "tags", "values": {}}\n')
     with pytest.warns(UserWarning, match=f"{path}: damaged"):
         assert [record["kind"] for record, _ in records(path)] == ["tags"]
 
 
-def test_a_run_that_is_refused_before_it_logs_is_no_run(store):
+def test_a_run_that_fails_before_it_logs_leaves_nothing(store):
     logger(store).finalize("failed")
     assert not (store / "run").exists()
 
@@ -274,8 +274,8 @@ def _png(path):
     return path
 
 
-def test_a_run_that_began_without_mlflow_goes_on_with_it(store):
-    first = LocalLogger("run", store / "run")
+def test_a_run_started_without_mlflow_resumes_with_it(store):
+    first = RunLogger("run", store / "run")
     first.log_metrics({"loss": 2.0}, 0)
     first.log_hyperparams({"x": 1})
     first.finalize("success")

@@ -1,6 +1,6 @@
-"""Something to stand on for what is brought without surroundings: a floor, or a floor and two walls.
+"""Backdrops for scenes without surroundings: a floor, or a floor and two walls.
 
-A lone object floats in black, is lit from nowhere else and throws no shadow that could be seen.
+Without a backdrop, a lone object receives no indirect light and casts no visible shadow.
 """
 
 from __future__ import annotations
@@ -17,20 +17,17 @@ from rfpp.scene.io.imported_scene import ImportedScene, Part, plain_material
 
 Backdrop = Literal["floor", "corner", "none"]
 
-#: Half the side of a panel, a little more than that of training scenes; squares along a side, as theirs.
+#: Half the side of a panel, slightly more than in training scenes; squares along a side.
 _HALF, _SQUARES = 0.8, 8
-#: Distance to what stands on the floor: no two surfaces in one plane.
+#: Distance between the floor and the scene, so that no surfaces coincide.
 _GAP = 0.002
-#: What lies in this share of a scene's height, from the bottom, may be a floor.
+#: Faces in this lowest share of a scene's height may be a floor.
 _LOWEST = 0.05
 _NAMES = {"floor": "a floor", "corner": "a floor and two walls"}
 
 
-def stood(scene: ImportedScene, backdrop: Backdrop, path: Path) -> ImportedScene:
-    """A framed scene with the backdrop that it lacks, grey and dull; with a warning that says so.
-
-    A scene with a camera, a light or a floor of its own has surroundings, and stays as it is.
-    """
+def with_backdrop(scene: ImportedScene, backdrop: Backdrop, path: Path) -> ImportedScene:
+    """Add a grey, matte backdrop to a framed scene without camera, light and floor, with a warning."""
     surrounded = scene.cameras or scene.lamps or any(part.is_light for part in scene.parts)
     if backdrop == "none" or surrounded or _has_floor(scene.parts):
         return scene
@@ -39,18 +36,16 @@ def stood(scene: ImportedScene, backdrop: Backdrop, path: Path) -> ImportedScene
     floor = np.array([x, y, low[2] - _GAP])
     right, back, up = np.eye(3)
     panels = [("floor", floor, right, back)]
-    if backdrop == "corner":  # behind, for the camera that is added looks from the front, the right and above
+    if backdrop == "corner":  # behind, as seen by the default camera
         panels += [("back_wall", floor + _HALF * (back + up), right, up)]
         panels += [("left_wall", floor + _HALF * (up - right), up, back)]
-    warnings.warn(
-        f"{path}: it stands in nothing: {_NAMES[backdrop]} is added (backdrop=none leaves it out)", stacklevel=4
-    )
+    warnings.warn(f"{path}: no surroundings: {_NAMES[backdrop]} is added (backdrop=none omits it)", stacklevel=4)
     parts = [_panel(name, centre, u, v) for name, centre, u, v in panels]
     return ImportedScene(scene.name, (*scene.parts, *parts), scene.lamps, scene.cameras)
 
 
 def _has_floor(parts: Sequence[Part]) -> bool:
-    """Whether faces that look up, at the bottom, cover half of the area on which the scene stands."""
+    """Whether upward faces at the bottom cover half of the scene's base area."""
     low, high = bounds(parts)
     highest, area = low[2] + _LOWEST * (high[2] - low[2]), 0.0
     for part in parts:
@@ -62,7 +57,7 @@ def _has_floor(parts: Sequence[Part]) -> bool:
 
 
 def _panel(name: str, centre: np.ndarray, u: np.ndarray, v: np.ndarray) -> Part:
-    """A square about its centre along two unit vectors; surfaces are lit on either side."""
+    """Return a square around `centre`, spanned by two unit vectors."""
     steps = np.linspace(-_HALF, _HALF, _SQUARES + 1)
     vertices = centre + steps[None, :, None] * u + steps[:, None, None] * v
     index = np.arange((_SQUARES + 1) ** 2).reshape(_SQUARES + 1, -1)

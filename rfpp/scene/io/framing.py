@@ -1,4 +1,4 @@
-"""Where networks have seen scenes: surfaces in [-0.5, 0.5]³, a camera one and a half to two units away."""
+"""Framing like training scenes: surfaces in [-0.5, 0.5]³, a camera one and a half to two units away."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from rfpp.scene.mesh import extent
 from rfpp.scene.spec import Camera
 
 _HALF = 0.5
-#: A scene whose longest side is at least this, inside the box, was made for it.
+#: A scene inside the box whose longest side is at least this keeps its scale.
 _FILLS = 0.5
 _VIEW = (0.5, -0.8, 0.45)  # from the front (-Y), the right and above
-_DISTANCE, _FOV = 1.8, (30.0, 60.0)  # of training's cameras
+_DISTANCE, _FOV = 1.8, (30.0, 60.0)  # as in training scenes
 
 
 @dataclass(frozen=True, eq=False)
 class Framing:
-    """Scaled and moved: a point p goes to (p - centre) · scale.
+    """The transform p → (p - centre) · scale.
 
     Attributes:
         scale: positive.
@@ -36,12 +36,12 @@ class Framing:
 
     @classmethod
     def of(cls, parts: Sequence[Part]) -> Framing:
-        """So that surfaces just fit into the box, their centre at its centre.
+        """Return the transform that fits surfaces into the box, centred.
 
-        Nothing changes where they lie inside already and fill half of it along some axis.
+        It is the identity if they lie inside and fill half of the box along some axis.
 
         Raises:
-            SceneError: without the file's name: nothing that a camera can see, or nothing with an extent.
+            SceneError: If no surface is visible or none has an extent; without the file's name.
         """
         low, high = bounds(parts)
         longest = float((high - low).max())
@@ -56,16 +56,16 @@ class Framing:
         return self.scale == 1 and not self.centre.any()
 
     def point(self, position: Float[np.ndarray, "*rows 3"]) -> Float[np.ndarray, "*rows 3"]:
-        """Where points go."""
+        """Transform points."""
         return (position - self.centre) * self.scale
 
     def lamp(self, lamp: Lamp) -> Lamp:
-        """Radiance stays: an intensity is scaled by area, so that it lights the smaller scene as brightly."""
+        """Transform a lamp; intensities scale with area, so that radiance is unchanged."""
         strength = lamp.strength if lamp.kind == "directional" else lamp.strength * self.scale**2
         return replace(lamp, strength=strength, position=self.point(lamp.position))
 
     def camera(self, camera: Camera) -> Camera:
-        """The same view of the scene where it is now. Raises SceneError where that is too far away."""
+        """Transform a camera. Raises SceneError if it is too far away."""
         position = self.point(np.array(camera.position))
         forward = np.subtract(camera.look_at, camera.position)
         return Camera(
@@ -76,7 +76,7 @@ class Framing:
         )
 
     def scene(self, scene: ImportedScene) -> ImportedScene:
-        """All of it."""
+        """Transform a scene."""
         if self.changes_nothing:
             return scene
         return replace(
@@ -88,7 +88,7 @@ class Framing:
 
 
 def default_camera(parts: Iterable[Part]) -> Camera:
-    """From the front, the right and above, with the surfaces' bounding box just in view."""
+    """Return a camera at the front right, above, whose view just contains the surfaces' bounding box."""
     low, high = bounds(parts)
     centre = (low + high) / 2
     camera = Camera(position=_along(_VIEW, centre), look_at=tuple(centre.tolist()), fov=_FOV[1])
@@ -104,9 +104,9 @@ def _along(direction: Sequence[float], centre: np.ndarray) -> tuple[float, float
 
 
 def bounds(parts: Iterable[Part]) -> tuple[Float[np.ndarray, 3], Float[np.ndarray, 3]]:
-    """Of what cameras can see. Raises SceneError if that is nothing."""
+    """Return the bounds of all visible surfaces. Raises SceneError if there are none."""
     seen = [part.vertices for part in parts if not part.is_light and len(part)]
     if not seen:
-        raise SceneError("holds no surface that a camera can see (emissive ones are invisible): add what is to be lit")
+        raise SceneError("holds no visible surface (emissive ones are invisible to the camera): add surfaces to be lit")
     lows, highs = zip(*map(extent, seen), strict=True)
     return np.min(lows, axis=0), np.max(highs, axis=0)

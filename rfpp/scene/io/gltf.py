@@ -105,7 +105,7 @@ class _Reader:
         strength = np.multiply(light.color, light.intensity / _LUMENS_PER_WATT)
         position, direction = z_up(np.stack([pose[:3, 3], -pose[:3, 2]]))
         if not (np.abs([strength, position, direction]) < BEYOND).all() or not direction.any():
-            raise SceneError(f"'{label}': its light is beyond every number: export it again")
+            raise SceneError(f"'{label}': its light is NaN, infinite or too large: export it again")
         yield Lamp(label, light.type, strength, position, _unit(direction))
 
     def warn(self, path: Path) -> None:

@@ -1,4 +1,4 @@
-"""How many objects a file becomes: its parts, its connected components, never too many."""
+"""Divide files into objects: by parts and connected components, with a limit."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from rfpp.errors import SceneError
 from rfpp.scene.io.imported_scene import Part
 from rfpp.scene.mesh import same_positions
 
-#: The most that a training scene has.
+#: Maximum number of objects of training scenes.
 MAX_OBJECTS = 70
-#: Of a scan with all its crumbs; more are triangles that nobody has joined.
+#: Limit of loose pieces, as in a scan with fragments; more are unconnected triangles.
 _MAX_PIECES = 1_000_000
 
 
 def components(part: Part) -> Iterator[Part]:
-    """Its connected pieces, in the order of their first faces; equal positions count as one vertex.
+    """Yield the connected pieces of a part in the order of their first faces; equal positions are one vertex.
 
     Raises:
-        SceneError: more pieces than are ever told apart.
+        SceneError: If there are too many pieces.
     """
     if not len(part):
         return
@@ -37,20 +37,20 @@ def components(part: Part) -> Iterator[Part]:
     _, first, piece, count = np.unique(label, return_index=True, return_inverse=True, return_counts=True)
     if len(first) > _MAX_PIECES:
         raise SceneError(
-            f"{len(first):,} loose pieces are more than {_MAX_PIECES:,}: join its triangles where it was made"
+            f"{len(first):,} loose pieces are more than {_MAX_PIECES:,}: join its triangles in the original program"
         )
     if len(first) == 1:
         yield part
         return
     piece = piece.reshape(-1)
-    if len(first) > MAX_OBJECTS:  # crumbs are put together first: each is looked at as an object once only
+    if len(first) > MAX_OBJECTS:  # fragments join the nearest large piece
         areas = np.bincount(piece, weights=part.areas)
         largest = np.argsort(-areas, kind="stable")[:MAX_OBJECTS]
-        crumbs = np.setdiff1d(np.arange(len(first)), largest)
+        fragments = np.setdiff1d(np.arange(len(first)), largest)
         centres = _centres(part, piece, len(first))
         body = np.empty(len(first), np.int64)
         body[largest] = np.arange(len(largest))
-        body[crumbs] = cKDTree(centres[largest]).query(centres[crumbs])[1]
+        body[fragments] = cKDTree(centres[largest]).query(centres[fragments])[1]
         first, piece = first[largest], body[piece]
         count = np.bincount(piece)
     by_piece = np.split(np.argsort(piece, kind="stable"), np.cumsum(count)[:-1])
@@ -59,13 +59,13 @@ def components(part: Part) -> Iterator[Part]:
 
 
 def merged(parts: Sequence[Part], path: Path) -> list[Part]:
-    """At most `MAX_OBJECTS` surfaces and as many lights, with unique names: small parts join the nearest large one.
+    """Return at most `MAX_OBJECTS` surfaces and lights each, with unique names; small parts join the nearest large one.
 
-    Warns if any did.
+    Warns if parts were joined.
     """
     kept = [*_merged([p for p in parts if not p.is_light]), *_merged([p for p in parts if p.is_light])]
     if len(kept) < len(parts):
-        warnings.warn(f"{path}: {len(parts)} parts became {len(kept)} objects, small ones joined to others",
+        warnings.warn(f"{path}: {len(parts)} parts became {len(kept)} objects: small ones were joined to others",
                       stacklevel=4)  # fmt: skip
     return [replace(part, name=name) for part, name in zip(kept, _unique([p.name for p in kept]), strict=True)]
 
@@ -84,7 +84,7 @@ def _merged(parts: list[Part]) -> list[Part]:
 
 
 def _joined(parts: Sequence[Part]) -> Part:
-    """One part, called and shaded like the first."""
+    """Join parts; name and shading are those of the first."""
     starts = np.cumsum([0, *(len(part.vertices) for part in parts[:-1])])
     return replace(
         parts[0],
@@ -95,7 +95,7 @@ def _joined(parts: Sequence[Part]) -> Part:
 
 
 def _centres(part: Part, piece: np.ndarray, count: int) -> np.ndarray:
-    """[count, 3] mean of the faces' centres of each piece."""
+    """Return the mean of the face centres of each piece, [count, 3]."""
     a, b, c = part.faces.T
     of_faces = ((column[a] + column[b] + column[c]) / 3 for column in part.vertices.T)
     sums = np.stack([np.bincount(piece, weights=column, minlength=count) for column in of_faces])
@@ -103,16 +103,9 @@ def _centres(part: Part, piece: np.ndarray, count: int) -> np.ndarray:
 
 
 def _unique(names: Sequence[str]) -> list[str]:
-    """A number behind each name that was there before."""
-    taken: set[str] = set(names)
-    seen: set[str] = set()
-    result = []
-    counts: dict[str, int] = {}
+    """Append a number to repeated names."""
+    result: list[str] = []
     for name in names:
-        unique = name
-        while unique in seen or (unique != name and unique in taken):
-            counts[name] = counts.get(name, 1) + 1
-            unique = f"{name}_{counts[name]}"
-        seen.add(unique)
-        result.append(unique)
+        candidates = (name, *(f"{name}_{number}" for number in range(2, len(names) + 2)))
+        result.append(next(c for c in candidates if c not in result and (c == name or c not in names)))
     return result

@@ -1,15 +1,14 @@
-"""Light for imported scenes: lamps become emissive triangles, and scenes in the dark get lights of their own.
+"""Lights of imported scenes: lamps become emissive triangles, and dark scenes get additional lights.
 
-- A point light: a tetrahedron with edges of 0.05, of radiance 4 · intensity / surface; right in the mean over
-  directions and within 18% in each.
-- A spot: one triangle with edges of 0.05, facing its direction, of radiance intensity / area; right along the axis. It
-  falls off as a cosine instead of at a cone, and shines backwards as well.
-- A directional light: one triangle with edges of 0.16, 2.4 from the origin and facing it, of radiance irradiance ·
-  2.4² / area; right at the origin.
+- Point light: a tetrahedron with edges of 0.05 and radiance 4 · intensity / surface; exact in the mean over directions,
+  within 18% in each.
+- Spot light: one triangle with edges of 0.05 facing its direction, with radiance intensity / area; exact along the
+  axis. It falls off as a cosine instead of at a cone, and shines backwards as well.
+- Directional light: one triangle with edges of 0.16, 2.4 from the origin and facing it, with radiance irradiance · 2.4²
+  / area; exact at the origin.
 
-How bright a scene is, is measured by the irradiance that would reach its surfaces with nothing in between. One that its
-own lights leave below a fiftieth of what training scenes have gets three lights more, about the first camera; one with
-more than twenty times that has its lights dimmed to it.
+The brightness of a scene is the mean unoccluded irradiance of its surfaces. Below a fiftieth of the brightness of
+training scenes, three lights are added around the first camera; above twenty times that, lights are dimmed to it.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ from rfpp.scene.io.imported_scene import ImportedScene, Lamp, Part
 from rfpp.scene.spec import Camera
 from rfpp.scene.triangles import EMISSION
 
-#: Mean unoccluded irradiance of the example scenes' surfaces, which are lit like training scenes.
+#: Mean unoccluded irradiance of the example scenes, which are lit like training scenes.
 USUAL = 2.2
 _FAINT, _DAZZLING = USUAL / 50, USUAL * 20
 
@@ -34,36 +33,38 @@ _LAMP_EDGE, _LIGHT_EDGE, _LIGHT_DISTANCE = 0.05, 0.16, 2.4
 _TETRAHEDRON = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]) / np.sqrt(8)  # edges of 1
 _SIDES = np.array([[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]])
 
-#: Azimuth from the camera's, elevation in degrees, radiance: a white wall stays below 1 wherever in the box it stands.
+#: Azimuth relative to the camera and elevation in degrees, radiance: white walls inside the box stay below 1.
 _RIG = (("key_light", 45.0, 50.0, 600.0), ("fill_light", -60.0, 35.0, 330.0), ("back_light", 170.0, 60.0, 160.0))
 _SAMPLES = 512
 
 
-def lit(scene: ImportedScene, camera: Camera, path: Path) -> list[Part]:
-    """The parts of a framed scene and its lights, as the module says; `camera` is the one that the rig is about."""
+def with_lights(scene: ImportedScene, camera: Camera, path: Path) -> list[Part]:
+    """Return the parts of a framed scene and its lights; added lights are placed around `camera`."""
     parts = [*scene.parts, *map(emitter, scene.lamps)]
     glowing = sum(part.is_light for part in scene.parts)
     if glowing:
         warnings.warn(
             f"{path}: emissive parts light the scene and are invisible to the camera ({glowing})", stacklevel=4
         )
-    if crooked := sum(lamp.kind != "point" for lamp in scene.lamps):
-        warnings.warn(f"{path}: spot and directional lights became triangles, which shine more widely ({crooked})",
+    if approximate := sum(lamp.kind != "point" for lamp in scene.lamps):
+        warnings.warn(f"{path}: spot and directional lights became triangles, which shine more widely ({approximate})",
                       stacklevel=4)  # fmt: skip
-    arriving = irradiance(parts)
-    if arriving < _FAINT:
-        why = f"its lights give it {arriving / USUAL:.1%} of the usual light" if arriving else "it has no light"
+    brightness = irradiance(parts)
+    if brightness < _FAINT:
+        why = f"its brightness is {brightness / USUAL:.1%} of training scenes'" if brightness else "it has no light"
         warnings.warn(f"{path}: {why}: three lights are added", stacklevel=4)
         parts += [_rig_light(camera, *values) for values in _RIG]
-    elif arriving > _DAZZLING:
-        factor = USUAL / arriving
-        warnings.warn(f"{path}: its lights are made {factor:.3g} times as bright, as in training scenes", stacklevel=4)
+    elif brightness > _DAZZLING:
+        factor = USUAL / brightness
+        warnings.warn(
+            f"{path}: its lights are scaled by {factor:.3g} to the brightness of training scenes", stacklevel=4
+        )
         parts = [_dimmed(part, factor) for part in parts]
     return parts
 
 
 def emitter(lamp: Lamp) -> Part:
-    """The triangles in a lamp's place."""
+    """Return the triangles that replace a lamp."""
     if lamp.kind == "point":
         surface = np.sqrt(3) * _LAMP_EDGE**2
         return _light(lamp.name, lamp.position + _LAMP_EDGE * _TETRAHEDRON, _SIDES, 4 * lamp.strength / surface)
@@ -74,7 +75,7 @@ def emitter(lamp: Lamp) -> Part:
 
 
 def irradiance(parts: Sequence[Part]) -> float:
-    """Mean over the surfaces of the unoccluded irradiance from all lights, averaged over colours."""
+    """Return the mean unoccluded irradiance of the surfaces from all lights, averaged over colors."""
     surfaces, lights = ([p for p in parts if p.is_light == is_light and len(p)] for is_light in (False, True))
     if not surfaces or not lights:
         return 0.0
@@ -91,7 +92,7 @@ def irradiance(parts: Sequence[Part]) -> float:
 def _sampled(
     rng: np.random.Generator, parts: Sequence[Part], weights: Sequence[np.ndarray]
 ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"], float]:
-    """Centres and unit normals of faces drawn in proportion to their weight, and the weight that each stands for."""
+    """Draw faces in proportion to their weight; return their centres, unit normals, and the weight of each draw."""
     weight = np.concatenate(weights)
     if not weight.sum() > 0:
         return np.zeros((1, 3)), np.zeros((1, 3)), 0.0
@@ -110,7 +111,7 @@ def _rig_light(camera: Camera, name: str, azimuth: float, elevation: float, radi
 
 
 def _triangle(name: str, centre: np.ndarray, normal: np.ndarray, edge: float, radiance: np.ndarray) -> Part:
-    """Equilateral, across its normal."""
+    """Return an equilateral triangle."""
     aside = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
     aside /= np.linalg.norm(aside)
     angles = np.radians([0, 120, 240])[:, None]
@@ -119,7 +120,7 @@ def _triangle(name: str, centre: np.ndarray, normal: np.ndarray, edge: float, ra
 
 
 def _light(name: str, vertices: np.ndarray, faces: np.ndarray, radiance: np.ndarray) -> Part:
-    row = np.array([1, 1, 1, 0, 0, 0, 1, *radiance], np.float32)  # white and dull, like the lights of training scenes
+    row = np.array([1, 1, 1, 0, 0, 0, 1, *radiance], np.float32)  # white and diffuse, as in training scenes
     return Part(name, vertices, faces, np.tile(row, (len(faces), 1)), smooth=False)
 
 

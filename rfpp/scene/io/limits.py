@@ -1,7 +1,6 @@
-"""Reading what others wrote: in bounded memory, and from the folder of the file alone.
+"""Reading untrusted files: in bounded memory, and only from the file's own folder.
 
-What a file says of itself (counts, offsets, names of other files) is checked against what is there before anything is
-allocated or opened.
+Counts, offsets and names of other files in a file are checked before anything is allocated or opened.
 """
 
 from __future__ import annotations
@@ -9,35 +8,39 @@ from __future__ import annotations
 import json
 import re
 import stat
+import zipfile
 from pathlib import Path
 from typing import Any
 
 from rfpp.errors import SceneError, one_line
 
-#: A mesh or an image file of more bytes is refused unread.
+#: Limit of mesh and image files in bytes.
 MAX_BYTES = 2**29
-#: The same of text, whose numbers are read line by line.
+#: Limit of text files in bytes.
 MAX_TEXT_BYTES = 2**27
-#: A polygon of a hundred thousand corners.
+#: Limit of a line in bytes: a polygon of a hundred thousand corners.
 MAX_LINE_BYTES = 2**20
-#: A text that is parsed into Python objects, which take up to thirty times its size.
+#: Limit of text that is parsed into Python objects, which take up to thirty times its size.
 MAX_JSON_BYTES = 2**25
-#: Forty times what networks are trained for, and what loads within ten seconds and 2 GB on two cores.
+#: Forty times the triangles of training scenes; loads within ten seconds and 2 GB on two cores.
 MAX_TRIANGLES = 3_000_000
-#: Lines of a text that are read one by one, which takes microseconds each.
+#: Limit of lines that are read one by one, which takes microseconds each.
 MAX_SINGLE_LINES = 1_000_000
-#: Entries of any list that become Python objects, and parts of a scene.
+#: Limits of list entries that become Python objects, and of parts of a scene.
 MAX_ENTRIES, MAX_PARTS = 100_000, 20_000
+
+#: Errors of zipfile for damaged, encrypted and unusually compressed archives.
+_BAD_ZIP = (zipfile.BadZipFile, NotImplementedError, RuntimeError, ValueError, EOFError)
 
 
 def read_bytes(path: Path, limit: int = MAX_BYTES, smaller: str = "make it smaller") -> bytes:
-    """The content of a regular file. Raises SceneError, without the name: missing, unreadable, empty, above `limit`."""
+    """Read a regular file. Raises SceneError, without its name, if it is missing, unreadable, empty or too large."""
     try:
         status = path.stat()
         if not stat.S_ISREG(status.st_mode):
             raise SceneError("is not a regular file: correct the path")
         if status.st_size > limit:
-            raise SceneError(f"holds {status.st_size:,} bytes, of which {limit:,} are read at most: {smaller}")
+            raise SceneError(f"holds {status.st_size:,} bytes, the limit is {limit:,}: {smaller}")
         content = path.read_bytes()
     except (OSError, ValueError) as error:  # ValueError: a zero byte in the name
         reason = getattr(error, "strerror", None) or error
@@ -47,11 +50,28 @@ def read_bytes(path: Path, limit: int = MAX_BYTES, smaller: str = "make it small
     return content
 
 
+def read_member(path: Path, name: str, limit: int) -> bytes:
+    """Read a file in a zip archive. Raises SceneError if it is missing, damaged or larger than `limit` bytes."""
+    try:
+        with zipfile.ZipFile(path) as archive, archive.open(name) as member:
+            content = member.read(limit + 1)
+    except KeyError:
+        raise SceneError(f"{path}: holds no {name}: give a complete archive") from None
+    except OSError as error:
+        raise SceneError(f"{path}: cannot be read ({error.strerror or error}): correct the path") from None
+    except _BAD_ZIP as error:
+        raise SceneError(f"{path}: {name} cannot be unpacked ({error}): fetch the archive again") from None
+    if len(content) > limit:
+        raise SceneError(f"{path}: {name} holds more than {limit:,} bytes: remove it from the archive")
+    return content
+
+
 def parse_json(content: bytes, expected: str) -> dict[str, Any]:
-    """The JSON object in a text.
+    """Parse the JSON object in a text.
 
     Raises:
-        SceneError: malformed, nested too deeply, with a repeated key, or no object at all; `expected` says what was.
+        SceneError: If it is malformed, nested too deeply, has a repeated key, or is not an object; `expected` names
+            the expected content.
     """
     try:
         parsed = json.loads(content.decode("utf-8"), object_pairs_hook=_without_repeats)
@@ -61,7 +81,7 @@ def parse_json(content: bytes, expected: str) -> dict[str, Any]:
         raise SceneError(f"line {error.lineno}: malformed JSON, {error.msg}: correct it") from None
     except RecursionError:
         raise SceneError(f"its JSON is nested too deeply: give {expected}") from None
-    except ValueError:  # Python converts no number of thousands of digits
+    except ValueError:  # Python refuses numbers of thousands of digits
         raise SceneError("malformed JSON, a number has thousands of digits: correct it") from None
     if not isinstance(parsed, dict):
         raise SceneError(f"is not a JSON object: give {expected}")
@@ -69,27 +89,29 @@ def parse_json(content: bytes, expected: str) -> dict[str, Any]:
 
 
 def beside(folder: Path, name: str) -> Path:
-    """The file that another one in `folder` names: in that folder or below it.
+    """Return the path of a file named by another file in `folder`, inside that folder.
 
-    Symbolic links are followed: they are made by whoever owns the folder, never by a file in it.
+    Symbolic links are followed: the owner of the folder creates them, not the files in it.
 
     Raises:
-        SceneError: a URL, an absolute path, or one that leads out of the folder.
+        SceneError: If the name is a URL, an absolute path, or leads out of the folder.
     """
     parts = name.replace("\\", "/").split("/")
     if re.match(r"[A-Za-z][A-Za-z0-9+.-]+:", name) or not name.isprintable():
-        raise SceneError(f"'{one_line(name)}' is no path of a file: put the file beside this one and name it")
+        raise SceneError(f"'{one_line(name)}' is not a file path: put the file beside this one and name it")
     if not parts[0] or parts[0].endswith(":") or ".." in parts:
         raise SceneError(f"'{name}' leads out of the file's folder: copy it there and give its path relative to it")
     return folder.joinpath(*parts)
 
 
 def require_bounded(triangles: int, parts: int = 0) -> None:
-    """Raises SceneError for more triangles or parts than are ever held."""
+    """Raise SceneError if there are too many triangles or parts."""
     if parts > MAX_PARTS:
-        raise SceneError(f"more than {MAX_PARTS:,} parts: join them where they were made")
+        raise SceneError(f"more than {MAX_PARTS:,} parts: join them in the original program")
     if triangles > MAX_TRIANGLES:
-        raise SceneError(f"{triangles:,} triangles are more than {MAX_TRIANGLES:,}: decimate it where it was made")
+        raise SceneError(
+            f"{triangles:,} triangles are more than {MAX_TRIANGLES:,}: decimate it in the original program"
+        )
 
 
 def _without_repeats(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

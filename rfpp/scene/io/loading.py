@@ -1,6 +1,6 @@
-"""Any scene file: which reader it needs, and what becomes of a scene that was not made for this project.
+"""Load any scene file.
 
-RenderFormer's JSON and H5 are taken as they are. Everything else is `fitted`.
+RenderFormer's JSON and H5 are loaded unchanged. All other formats are `fitted`.
 """
 
 from __future__ import annotations
@@ -25,9 +25,8 @@ from rfpp.scene.io.renderformer_json import load_json
 from rfpp.scene.io.stl import read_stl
 from rfpp.scene.packed import PackedScene
 from rfpp.scene.spec import Scene
-from rfpp.scene.triangles import world_meshes
 
-#: Suffix → reader, and the axis that points up in the file; None where the reader turns it.
+#: Suffix → reader and the file's up axis; None if the reader converts it.
 _READERS: dict[str, tuple[Callable[[Path], ImportedScene], str | None]] = {
     ".gltf": (read_gltf, None),
     ".glb": (read_gltf, None),
@@ -36,11 +35,16 @@ _READERS: dict[str, tuple[Callable[[Path], ImportedScene], str | None]] = {
     ".stl": (read_stl, "z"),
 }
 _H5_SUFFIXES = (".h5", ".hdf5")
-#: What other programs write, none of which is opened; several are XML or archives.
+#: Formats of other programs, never opened; several are XML or archives.
 _FOREIGN = (".3ds", ".3mf", ".abc", ".blend", ".dae", ".fbx", ".ma", ".max", ".off", ".svg", ".usd", ".usda", ".usdc",
             ".usdz", ".vrml", ".wrl", ".x3d", ".xml", ".zip")  # fmt: skip
+_CHOICES = {
+    "up": (None, "y", "z"),
+    "transparent": ("opaque", "drop", "refuse"),
+    "backdrop": ("floor", "corner", "none"),
+}
 _MAX_FILES = 1000
-_MANY_TRIANGLES = 80_000  # the most that a training scene has
+_MANY_TRIANGLES = 80_000  # maximum of training scenes
 
 
 def load_scene(
@@ -51,56 +55,55 @@ def load_scene(
     transparent: Transparent = "opaque",
     backdrop: Backdrop = "floor",
 ) -> Scene | PackedScene:
-    """Read any scene.
+    """Load a scene.
 
-    RenderFormer JSON v1.0 as it is, and its H5, which holds no objects and comes packed; glTF (.gltf, .glb), OBJ with
-    MTL, PLY, STL, or a folder of these, whose surfaces are fitted into [-0.5, 0.5]^3, with a camera and lights where
-    there are none. Each change is a warning of one line. `rfpp.scene.io` says how nodes, materials, lights and textures
-    are read.
+    Reads RenderFormer JSON v1.0 and H5 (which holds no objects and is returned packed) unchanged. The surfaces of glTF
+    (.gltf, .glb), OBJ with MTL, PLY, STL, or a folder of these are fitted into [-0.5, 0.5]^3; a missing camera and
+    missing lights are added. Each change is a one-line warning.
 
     Args:
-        triangles: a scene of more is decimated to so many.
-        up: the axis that points up in OBJ (else y), PLY and STL files (else z); glTF says y.
-        transparent: what becomes of surfaces that light should pass through, which nothing here does.
-        backdrop: what a foreign scene without camera, light and floor is put on: floor, corner (with two walls), none.
+        path: Scene file or folder of meshes.
+        triangles: Maximum number of triangles; larger scenes are decimated.
+        up: Up axis of OBJ (default y), PLY and STL files (default z); glTF is always y.
+        transparent: Treatment of transparent surfaces, which cannot be represented.
+        backdrop: Surroundings of a foreign scene without camera, light and floor: floor, corner (with two walls), none.
 
     Raises:
-        SceneError: naming the file, what is wrong or cannot be represented, and the fix.
+        SceneError: If the file cannot be read or represented; names the file, the problem and the fix.
     """
     path = Path(path)
     if triangles is not None and triangles < 1:
         raise SceneError(f"triangles={triangles}: give at least 1")
-    if up not in (None, "y", "z"):
-        raise SceneError(f"up={up}: choose y or z")
-    if transparent not in ("opaque", "drop", "refuse"):
-        raise SceneError(f"transparent={transparent}: choose opaque, drop or refuse")
-    if backdrop not in ("floor", "corner", "none"):
-        raise SceneError(f"backdrop={backdrop}: choose floor, corner or none")
+    for name, value in (("up", up), ("transparent", transparent), ("backdrop", backdrop)):
+        if value not in _CHOICES[name]:
+            known = [choice for choice in _CHOICES[name] if choice]
+            raise SceneError(f"{name}={value}: choose {', '.join(known[:-1])} or {known[-1]}")
     suffix = path.suffix.lower()
     if path.is_dir() or suffix in _READERS:
         scene = _imported(path, up, transparent, backdrop)
         total = sum(len(item.mesh) for item in scene.objects)
         if triangles is None and total > _MANY_TRIANGLES:
             warnings.warn(
-                f"{path}: {total:,} triangles, where training scenes have {_MANY_TRIANGLES:,} at most: "
+                f"{path}: {total:,} triangles, more than the {_MANY_TRIANGLES:,} of training scenes: "
                 f"triangles={_MANY_TRIANGLES} reduces them",
                 stacklevel=2,
             )
     elif suffix in _H5_SUFFIXES:
         if triangles is not None:
-            raise SceneError(f"{path}: triangles={triangles}: H5 scenes are not decimated: leave it away")
-        from rfpp.scene.io.renderformer_h5 import load_h5  # late: its library is an extra
+            raise SceneError(f"{path}: triangles={triangles}: H5 scenes are not decimated: omit it")
+        from rfpp.scene.io.renderformer_h5 import load_h5  # needs an optional dependency
 
         return load_h5(path)
     elif suffix in _FOREIGN:
         raise SceneError(f"{path}: {suffix} cannot be read: open it in Blender and export glTF (.glb)")
     elif suffix not in (".json", ""):
         known = ", ".join((".json", *_H5_SUFFIXES, *_READERS))
-        raise SceneError(f"{path}: '{suffix}' is no scene that can be read: give {known} or a folder of meshes")
+        raise SceneError(f"{path}: unsupported scene format '{suffix}': give {known} or a folder of meshes")
     else:
         scene = load_json(path)
     try:
-        world_meshes(scene)  # fails here, where the file is known, and not when the scene is packed
+        for item in scene.objects:
+            _ = item.world_mesh  # raises here, where the file is known; packing uses the cached mesh
     except SceneError as error:
         raise SceneError(f"{path}: {error}") from None
     return scene if triangles is None else within_budget(scene, triangles, f"{path}")
@@ -114,14 +117,17 @@ def _imported(path: Path, up: str | None, transparent: Transparent, backdrop: Ba
 
 
 def _file(path: Path, up: str | None) -> ImportedScene:
-    reader, usual = _READERS[path.suffix.lower()]
+    reader, default_up = _READERS[path.suffix.lower()]
     with np.errstate(over="ignore", invalid="ignore"):
         scene = reader(path)
-        return scene if usual is None or (up or usual) == "z" else _turned(scene)
+        if default_up is None or (up or default_up) == "z":
+            return scene
+        # only files without lights and cameras leave the up axis open
+        return replace(scene, parts=tuple(replace(part, vertices=z_up(part.vertices)) for part in scene.parts))
 
 
 def _folder(folder: Path, up: str | None) -> ImportedScene:
-    """Every mesh file in a folder, in one common space."""
+    """Read every mesh file in a folder into one common space."""
     try:
         files = sorted(path for path in folder.iterdir() if path.suffix.lower() in _READERS)
     except OSError as error:
@@ -129,7 +135,7 @@ def _folder(folder: Path, up: str | None) -> ImportedScene:
     if not files:
         raise SceneError(f"holds no mesh: give a folder of {', '.join(_READERS)} files, or a scene file")
     if len(files) > _MAX_FILES:
-        raise SceneError(f"holds {len(files):,} meshes, of which a scene takes {_MAX_FILES:,}: give fewer")
+        raise SceneError(f"holds {len(files):,} meshes, the limit is {_MAX_FILES:,}: give fewer")
     scenes = []
     for path in files:
         try:
@@ -138,8 +144,3 @@ def _folder(folder: Path, up: str | None) -> ImportedScene:
             raise SceneError(f"{path.name}: {error}") from None
         require_bounded(sum(len(part) for scene in scenes for part in scene.parts))
     return ImportedScene.joined(folder.name, scenes)
-
-
-def _turned(scene: ImportedScene) -> ImportedScene:
-    """Y up made Z up. Only files without lamps and cameras do not say which axis it is."""
-    return replace(scene, parts=tuple(replace(part, vertices=z_up(part.vertices)) for part in scene.parts))

@@ -1,18 +1,17 @@
-"""RenderFormer's H5 scenes: triangles, normals, texture patches, cameras and perhaps images, without objects.
+"""RenderFormer's H5 scenes: triangles, normals, texture patches, cameras and optional images, without objects.
 
-What they hold beyond its inference format is that of RenderFormer's training tools (`src/renderformer/data` of
-iamNCJ/RenderFormer-Studio: `exporters/v1.py` writes, `loaders/common.py` reads): `img` [V, H, W, 3 or 4] half, linear
-radiance with the channels last, of which training uses the first three; `mvp` [V, 4, 4], the OpenGL projection with the
-near plane at 0.05, the far one at 5 and y downwards, times world to camera, which training reads and does not use.
-`fov` is in degrees.
+The additions to its inference format follow RenderFormer's training tools (`src/renderformer/data` of
+iamNCJ/RenderFormer-Studio, `exporters/v1.py` and `loaders/common.py`): `img` [V, H, W, 3 or 4] half, linear radiance,
+channels last, of which training uses three; `mvp` [V, 4, 4], the OpenGL projection (near plane 0.05, far plane 5, y
+down) times world-to-camera, unused in training. `fov` is in degrees.
 
-Ours add `object_index` [M] int32, the object each triangle belongs to, which others do not miss.
+`save_h5` adds `object_index` [M] int32, the object of each triangle.
 """
 
 from __future__ import annotations
 
 import io
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -48,24 +47,24 @@ _SHAPES = {
 }
 _IMAGES, _OBJECTS = "img", "object_index"
 
-_PATCH = 32  # cells along a written patch, which is what released checkpoints take
-_CHUNK = (1024, 2, 4, 8)  # of patches compressed together: 75 bytes a triangle, where whole patches take 200
+_PATCH = 32  # cells along a written patch, as in released checkpoints
+_CHUNK = (1024, 2, 4, 8)  # compression chunks: 75 bytes per triangle instead of 200
 _COMPRESSION = {"compression": "gzip", "compression_opts": 9, "shuffle": True}
-_SLAB = 1024  # patches in memory at a time: 27 MB; all of a large scene's are gigabytes
+_SLAB = 1024  # patches in memory at a time: 27 MB
 _NEAR, _FAR = 0.05, 5.0
 _MAX_PATCH = 128
-_LEAST_RIGHT = 0.01  # scalar products of a camera's axes may differ from 0 and 1 by so much
-_MOST_COMPRESSED = 1100  # deflate makes nothing smaller than a thousandth of itself
+_LEAST_RIGHT = 0.01  # tolerance of scalar products of a camera's axes
+_MOST_COMPRESSED = 1100  # limit of deflate's compression ratio
 
 
 def load_h5(path: Path) -> PackedScene:
     """Read a scene in RenderFormer's H5 layout.
 
-    Where the file names no objects, triangles of one material that touch at their corners become one. Constant texture
-    patches are read as materials, varying ones are kept.
+    Without stored objects, connected triangles of one material become an object. Constant texture patches are read as
+    materials; varying ones are kept.
 
     Raises:
-        SceneError: one line with the file, the data set and the fix.
+        SceneError: If the file is invalid; one line with the file, the data set and the fix.
     """
     with _opened(path) as file:
         _check_shapes(file)
@@ -88,35 +87,28 @@ def load_h5(path: Path) -> PackedScene:
 
 
 def image_shape(path: Path) -> tuple[int, int, int]:
-    """Views, height and width of the reference images, without reading them. Raises SceneError like `load_images`."""
+    """Return views, height and width of the reference images without reading them. Raises like `load_images`."""
     with _opened(path) as file:
         return _images(file).shape[:3]
 
 
 def load_images(path: Path) -> Float[np.ndarray, "v h w 3"]:
-    """The reference images in linear radiance, float32. Raises SceneError naming the file: none, or damaged ones."""
+    """Read the reference images, linear radiance. Raises SceneError if they are missing or damaged."""
     with _opened(path) as file:
         return _finite(_IMAGES, _images(file)[..., :3]).astype(np.float32)
 
 
-def save_h5(
-    scene: PackedScene,
-    path: Path,
-    images: Float[np.ndarray, "v h w 3"] | None = None,
-    others: Mapping[str, np.ndarray] | None = None,
-) -> Path:
-    """Write a scene in RenderFormer's H5 layout, materials in half precision, compressed to about their real size.
+def save_h5(scene: PackedScene, path: Path, images: Float[np.ndarray, "v h w 3"] | None = None) -> Path:
+    """Write a scene in RenderFormer's H5 layout with materials in half precision; return the path.
 
     Args:
-        images: linear radiance of the scene's cameras; stored in half precision.
-        others: further data sets, name → array, which RenderFormer's tools ignore.
-
-    Returns:
-        `path`.
+        scene: Triangles and cameras.
+        path: File to write.
+        images: Linear radiance for each camera, stored in half precision.
 
     Raises:
-        SceneError: an emission or a radiance beyond half precision.
-        UserError: the file cannot be written.
+        SceneError: If an emission or a radiance exceeds half precision.
+        UserError: If the file cannot be written.
     """
     triangles = scene.triangles
     arrays = {"triangles": triangles.positions, "vn": triangles.normals, "c2w": scene.c2w, "fov": scene.fov}
@@ -127,7 +119,7 @@ def save_h5(
     values = _half(triangles.material if scene.texture is None else scene.texture, f"{path}: material")
     content = io.BytesIO()
     with h5py.File(content, "w") as file:
-        for name, array in {**arrays, **(others or {})}.items():
+        for name, array in arrays.items():
             file.create_dataset(name, data=array, **_COMPRESSION)
         shape = (len(values), TEXTURE_CHANNELS, *(values.shape[2:] or (_PATCH, _PATCH)))
         texture = file.create_dataset(
@@ -140,7 +132,7 @@ def save_h5(
 
 @contextmanager
 def _opened(path: Path) -> Iterator[h5py.File]:
-    """The file, with its name in front of any SceneError raised inside."""
+    """Open the file and prepend its name to any SceneError raised inside."""
     try:
         if path.exists() and not path.is_file():
             raise SceneError("is not a regular file: correct the path")
@@ -148,7 +140,7 @@ def _opened(path: Path) -> Iterator[h5py.File]:
             yield file
     except SceneError as error:
         raise SceneError(f"{path}: {error}") from None
-    except (OSError, KeyError, RuntimeError, ValueError, TypeError) as error:  # all of them h5py's, of damaged files
+    except (OSError, KeyError, RuntimeError, ValueError, TypeError) as error:  # h5py's errors for damaged files
         reason = one_line(str(error))
         raise SceneError(
             f"{path}: cannot be read as HDF5 ({reason}): correct the path or copy the file again"
@@ -156,8 +148,8 @@ def _opened(path: Path) -> Iterator[h5py.File]:
 
 
 def _dataset(file: h5py.File, name: str, fix: str) -> h5py.Dataset:
-    """Numbers in this very file, no more than its size can hold."""
-    link = file.get(name, getlink=True)  # before it is followed: what it leads to may never answer
+    """Return a numeric data set stored in this file and no larger than its size allows."""
+    link = file.get(name, getlink=True)  # unresolved, because its target may block
     if link is not None and not isinstance(link, h5py.HardLink):
         raise SceneError(f"{name}: its content lies in another file: copy it into this one")
     if link is None or not isinstance(file[name], h5py.Dataset):
@@ -168,7 +160,7 @@ def _dataset(file: h5py.File, name: str, fix: str) -> h5py.Dataset:
     if dataset.dtype.kind not in "fiu" or dataset.ndim == 0:
         raise SceneError(f"{name}: {dataset.dtype} where an array of numbers was expected: convert the scene again")
     if dataset.nbytes > _MOST_COMPRESSED * dataset.id.get_storage_size():
-        raise SceneError(f"{name}: {dataset.nbytes:,} bytes are claimed, more than it holds: convert the scene again")
+        raise SceneError(f"{name}: claims {dataset.nbytes:,} bytes, more than it holds: convert the scene again")
     return dataset
 
 
@@ -186,13 +178,13 @@ def _check_shapes(file: h5py.File) -> None:
         raise SceneError("triangles: the scene is empty")
     require_bounded(sizes["M"])
     if sizes["V"] > MAX_ENTRIES:
-        raise SceneError(f"c2w: {sizes['V']:,} cameras, of which {MAX_ENTRIES:,} are read at most")
+        raise SceneError(f"c2w: {sizes['V']:,} cameras, the limit is {MAX_ENTRIES:,}")
     if not 1 <= sizes["P"] <= _MAX_PATCH:
         raise SceneError(f"texture: patches of {sizes['P']} cells a side: give 1 to {_MAX_PATCH}")
 
 
 def _require_cameras(c2w: Float[np.ndarray, "v 4 4"], fov: np.ndarray) -> None:
-    """Raises SceneError for what is no view."""
+    """Raise SceneError for invalid poses and angles."""
     if not ((fov > 0) & (fov < 180)).all():
         raise SceneError("fov: not between 0 and 180 degrees: convert the scene again")
     axes = c2w[:, :3, :3].astype(np.float64)
@@ -200,13 +192,13 @@ def _require_cameras(c2w: Float[np.ndarray, "v 4 4"], fov: np.ndarray) -> None:
         np.abs(axes @ axes.swapaxes(1, 2) - np.eye(3)).max(initial=0) > _LEAST_RIGHT
         or np.abs(c2w).max(initial=0) > FARTHEST
     ):
-        raise SceneError("c2w: not a camera's pose, of three unit axes and a place: convert the scene again")
+        raise SceneError("c2w: not a camera pose (three orthogonal unit axes and a position): convert the scene again")
 
 
 def _finite(name: str, array: np.ndarray) -> np.ndarray:
-    """As float32, or as half precision that it is in."""
+    """Return the array as float32, or unchanged in half precision; raise SceneError if it is not finite."""
     if array.dtype != np.float16:
-        with np.errstate(over="ignore"):  # what becomes infinite is refused
+        with np.errstate(over="ignore"):  # infinite values are refused below
             array = array.astype(np.float32)
     if not np.isfinite(array).all():
         raise SceneError(f"{name}: holds NaN or infinity: convert the scene again")
@@ -222,7 +214,7 @@ def _images(file: h5py.File) -> h5py.Dataset:
 
 
 def _material(texture: h5py.Dataset) -> tuple[Float[np.ndarray, "m 10"], Float[np.ndarray, "m 13 p p"] | None]:
-    """A material for each triangle, and the patches if any varies; never all in memory otherwise."""
+    """Return a material per triangle, and the patches if any varies, reading them piecewise."""
     materials, constant = [], True
     for rows in _slabs(texture):
         patches = _finite("texture", texture[rows])
@@ -232,14 +224,14 @@ def _material(texture: h5py.Dataset) -> tuple[Float[np.ndarray, "m 10"], Float[n
 
 
 def _slabs(texture: h5py.Dataset) -> Iterator[slice]:
-    """Runs of whole chunks, so that none is decompressed twice."""
+    """Yield ranges of whole chunks, so that none is decompressed twice."""
     chunk = texture.chunks[0] if texture.chunks else 1
     step = max(1, _SLAB // chunk) * chunk
     return (slice(start, start + step) for start in range(0, len(texture), step))
 
 
 def _patches(material: Float[np.ndarray, "m 10"]) -> Float[np.ndarray, "m 13 p p"]:
-    """Constant patches, which `is_constant` recognises."""
+    """Return constant patches, as recognised by `is_constant`."""
     values = np.empty((len(material), TEXTURE_CHANNELS), material.dtype)
     values[:, MATERIAL_CHANNELS], values[:, NORMAL_CHANNELS] = material, FLAT_NORMAL
     return values[:, :, None, None] * covered_cells(_PATCH).astype(material.dtype)
@@ -253,7 +245,7 @@ def _half(array: np.ndarray, what: str) -> np.ndarray:
 
 
 def _projections(scene: PackedScene, height: int, width: int) -> Float[np.ndarray, "v 4 4"]:
-    """`mvp`: world to OpenGL's clip space."""
+    """Return `mvp`: world to OpenGL clip space."""
     longest = max(height, width)
     projections = np.zeros((len(scene.fov), 4, 4))
     focal = 1 / np.tan(np.radians(scene.fov.astype(np.float64)) / 2)
@@ -264,15 +256,15 @@ def _projections(scene: PackedScene, height: int, width: int) -> Float[np.ndarra
 
 
 def _stored_objects(file: h5py.File) -> Int[np.ndarray, " m"]:
-    """The objects as written by `save_h5`, numbered from 0."""
+    """Read the objects written by `save_h5`, numbered from 0."""
     index = _dataset(file, _OBJECTS, "convert the scene again")[()]
     if index.shape != file["triangles"].shape[:1] or index.dtype.kind not in "iu":
-        raise SceneError(f"{_OBJECTS}: {index.dtype} {index.shape} where one integer a triangle was expected")
+        raise SceneError(f"{_OBJECTS}: {index.dtype} {index.shape} where one integer per triangle was expected")
     return np.unique(index, return_inverse=True)[1].reshape(-1)
 
 
 def _connected(triangles: Float[np.ndarray, "m 3 3"], material: Float[np.ndarray, "m 10"]) -> Int[np.ndarray, " m"]:
-    """The connected part of one material that each triangle belongs to, numbered in order of appearance."""
+    """Number the connected parts of one material in order of appearance, for each triangle."""
     count = len(triangles)
     _, of_material = np.unique(material, axis=0, return_inverse=True)
     corners = triangles.reshape(-1, 3)

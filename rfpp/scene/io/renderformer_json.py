@@ -1,4 +1,4 @@
-"""RenderFormer JSON v1.0, read and written."""
+"""Read and write RenderFormer JSON v1.0."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ VERSION = "1.0"
 
 
 class _SceneEntry(Strict):
-    """The top level of the file."""
+    """Top level of the file."""
 
     scene_name: str = "scene"
     version: str
@@ -39,7 +39,7 @@ class _SceneEntry(Strict):
 
 
 class _ObjectEntry(Strict):
-    """One value under `objects`."""
+    """Value under `objects`."""
 
     mesh_path: Annotated[str, Field(min_length=1)]
     material: dict[str, Any]
@@ -49,13 +49,12 @@ class _ObjectEntry(Strict):
 
 
 def load_json(path: Path) -> Scene:
-    """Read a scene in RenderFormer JSON v1.0 with its meshes, whose paths are relative to the file.
+    """Read a scene in RenderFormer JSON v1.0 with its meshes, which lie in the file's folder or below.
 
-    They lie in its folder or below: a scene names no file elsewhere. An object with `remesh` is reduced to at most
-    `remesh_target_face_num` faces.
+    An object with `remesh` is decimated to at most `remesh_target_face_num` faces.
 
     Raises:
-        SceneError: one line with the file, the key and the fix.
+        SceneError: If the file is invalid; one line with the file, the key and the fix.
     """
     with _located(f"{path}"):
         entry = _SceneEntry(**parse_json(read_bytes(path, MAX_JSON_BYTES), "a scene in RenderFormer JSON v1.0"))
@@ -69,20 +68,17 @@ def load_json(path: Path) -> Scene:
 
 
 def save_json(scene: Scene | PackedScene, path: Path) -> Path:
-    """Write RenderFormer JSON v1.0, and each different mesh as OBJ in the folder `<stem>_meshes` beside it.
-
-    Returns:
-        `path`.
+    """Write RenderFormer JSON v1.0, and each distinct mesh as OBJ in the folder `<stem>_meshes`; return the path.
 
     Raises:
-        SceneError: an object whose material varies over its faces, or a packed scene: the format cannot say either.
-        UserError: a file cannot be written.
+        SceneError: If the scene is packed or a material varies over an object's faces.
+        UserError: If a file cannot be written.
     """
     if isinstance(scene, PackedScene):
-        raise SceneError(f"{path}: scene '{scene.name}' is of triangles, JSON v1.0 of objects: save it as .h5")
+        raise SceneError(f"{path}: scene '{scene.name}' has no objects, which JSON v1.0 needs: save it as .h5")
     for item in scene.objects:
         if item.face_material is not None:
-            raise SceneError(f"{path}: object '{item.name}': JSON v1.0 has one material an object: save it as .h5")
+            raise SceneError(f"{path}: object '{item.name}': JSON v1.0 has one material per object: save it as .h5")
     mesh_paths = _save_meshes([item.mesh for item in scene.objects], [item.name for item in scene.objects], path)
     content = {
         "scene_name": scene.name,
@@ -102,13 +98,13 @@ def save_json(scene: Scene | PackedScene, path: Path) -> Path:
 
 
 def _save_meshes(meshes: list[Mesh], names: list[str], scene_path: Path) -> list[str]:
-    """The path of each mesh relative to the scene file; equal meshes share the file named after the first of them."""
+    """Write meshes; return their paths relative to the scene file. Equal meshes share a file."""
     written: dict[tuple[bytes, bytes], str] = {}
     paths = []
     for mesh, name in zip(meshes, names, strict=True):
         content = (mesh.vertices.tobytes(), mesh.faces.tobytes())
         if content not in written:
-            # The number keeps names apart that differ only in characters which file systems do not like.
+            # the number distinguishes names that differ only in replaced characters
             file_name = f"{len(written):02d}_{as_file_name(name)}.obj"
             written[content] = f"{scene_path.stem}_meshes/{file_name}"
             save_mesh(mesh, scene_path.parent / written[content])
@@ -117,24 +113,24 @@ def _save_meshes(meshes: list[Mesh], names: list[str], scene_path: Path) -> list
 
 
 class _Meshes:
-    """The meshes of one scene: each file is read once, and reduced once for each number of faces."""
+    """The meshes of one scene: each file is read once, and decimated once for each number of faces."""
 
     def __init__(self) -> None:
         self._meshes: dict[tuple[Path, int | None], Mesh] = {}
-        self._before = 0
+        self._decimated_faces = 0
 
     def get(self, path: Path, target_faces: int | None) -> Mesh:
-        """The mesh, of at most so many faces. Raises SceneError: unreadable, or more to reduce than is reduced."""
+        """Return a mesh with at most `target_faces` faces. Raises SceneError if too many faces are to be decimated."""
         if (path, None) not in self._meshes:
             self._meshes[path, None] = load_mesh(path)
         mesh = self._meshes[path, None]
         if target_faces is None or len(mesh) <= target_faces:
             return mesh
         if (path, target_faces) not in self._meshes:
-            self._before += len(mesh)
-            if self._before > MAX_TRIANGLES:
-                raise SceneError(f"meshes of more than {MAX_TRIANGLES:,} faces together are to be reduced: save them "
-                                 "reduced, or give copies of one mesh the same remesh_target_face_num")  # fmt: skip
+            self._decimated_faces += len(mesh)
+            if self._decimated_faces > MAX_TRIANGLES:
+                raise SceneError(f"meshes of more than {MAX_TRIANGLES:,} faces in total are to be decimated: save them "
+                                 "decimated, or give copies of one mesh the same remesh_target_face_num")  # fmt: skip
             self._meshes[path, target_faces] = decimated(mesh, target_faces)
         return self._meshes[path, target_faces]
 
@@ -152,7 +148,7 @@ def _object(name: str, values: dict[str, Any], folder: Path, meshes: _Meshes) ->
 
 
 def _require_printable(name: str) -> None:
-    """Names stand in messages and file names. Raises SceneError for line ends and half characters."""
+    """Raise SceneError for unprintable characters: names occur in messages and file names."""
     if not name.isprintable():
         raise SceneError(f"the name '{one_line(name)}' has characters that cannot be printed: rename it")
 
@@ -165,7 +161,7 @@ def _cameras(entries: tuple[dict[str, Any], ...]) -> Iterator[Camera]:
 
 @contextmanager
 def _located(where: str) -> Iterator[None]:
-    """Put `where` in front of the message of any SceneError raised inside."""
+    """Prepend `where` to the message of any SceneError raised inside."""
     try:
         yield
     except SceneError as error:

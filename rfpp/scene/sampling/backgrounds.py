@@ -11,13 +11,12 @@ from rfpp.errors import SceneError
 from rfpp.scene.mesh import Mesh
 from rfpp.scene.sampling.interval import Interval, freeze_intervals, uniform
 from rfpp.scene.sampling.open_region import OpenRegion
-from rfpp.scene.spec import Transform
-from rfpp.scene.triangles import rotation_matrix
+from rfpp.scene.spec import Transform, rotation_matrix
 
-#: The inward normal of each panel; it stands half a unit from the centre on the other side.
+#: Inward normal of each panel, which stands half a unit from the centre on the opposite side.
 PANELS = {"floor": (0, 0, 1), "back": (0, -1, 0), "right": (-1, 0, 0), "left": (1, 0, 0)}
 
-#: The four kinds of background by the panels they have. Cameras look from -y (and -x).
+#: Panels of the four kinds of background. Cameras look from -y (and -x).
 KINDS = {
     "plane": ("floor",),
     "wall": ("floor", "back"),
@@ -25,13 +24,13 @@ KINDS = {
     "box": ("floor", "back", "right", "left"),
 }
 
-#: Squares along each side of a panel: 8 · 8 · 2 = 128 triangles, as RenderFormer's.
+#: Squares along each side of a panel: 8 · 8 · 2 = 128 triangles, as in RenderFormer.
 _SQUARES = 8
 
 
 @dataclass(frozen=True, eq=False)
 class Background:
-    """The panels of one background, not yet of any material.
+    """The panels of a background, without materials.
 
     Attributes:
         kind: a name from `KINDS`.
@@ -51,13 +50,13 @@ class Background:
 
 @dataclass(frozen=True)
 class PanelJitter:
-    """How far a panel may stray from its place, in world units (RenderFormer's numbers, halved).
+    """Random displacement of a panel, in world units (RenderFormer's numbers, halved).
 
     Attributes:
-        half_extent: of the panel along each of its two sides.
+        half_extent: of the panel along each of its sides.
         slide: displacement along these sides.
-        floor_lift: upward displacement of the floor from z = -0.5, which leaves a tilted floor inside the scene's cube.
-        wall_offset: displacement of a wall along its normal, towards the inside.
+        floor_lift: upward displacement of the floor from z = -0.5, which keeps a tilted floor inside the cube.
+        wall_offset: inward displacement of a wall along its normal.
         tilt: degrees of rotation about each axis.
     """
 
@@ -71,7 +70,7 @@ class PanelJitter:
         freeze_intervals(self)
 
     def sample(self, rng: np.random.Generator, panel: str) -> Transform:
-        """Where the named panel stands; its mesh is the unit grid of `panel_mesh`."""
+        """Draw the transform of a panel; its mesh is the unit grid of `panel_mesh`."""
         normal = np.array(PANELS[panel], dtype=float)
         across = np.abs(normal) > 0
         offset = uniform(rng, self.floor_lift if panel == "floor" else self.wall_offset)
@@ -86,12 +85,12 @@ class PanelJitter:
 
 @dataclass(frozen=True)
 class BackgroundSampler:
-    """One of the four kinds of background, every panel displaced by itself.
+    """One of the four kinds of background, with independently displaced panels.
 
     Attributes:
         weights: relative frequency of each kind.
-        jitter: of the panels of all kinds but the box.
-        box_jitter: of a box's panels; it is small, as the box has to close.
+        jitter: displacement of panels, except of a box.
+        box_jitter: displacement of a box's panels, small enough to keep it closed.
     """
 
     weights: Mapping[str, float | int]
@@ -106,7 +105,7 @@ class BackgroundSampler:
             raise SceneError("BackgroundSampler.weights: give at least one positive weight and no negative one")
 
     def sample(self, rng: np.random.Generator) -> Background:
-        """A background whose open side contains the scene's centre."""
+        """Draw a background whose open side contains the scene's centre."""
         weights = np.array(list(self.weights.values()), dtype=float)
         kind = list(self.weights)[rng.choice(len(weights), p=weights / weights.sum())]
         jitter = self.box_jitter if kind == "box" else self.jitter
@@ -120,7 +119,7 @@ class BackgroundSampler:
 
 
 def panel_mesh(panel: str) -> Mesh:
-    """The square [-1, 1]² of 128 triangles through the origin that faces along the panel's normal."""
+    """Return the square [-1, 1]² of 128 triangles through the origin, facing along the panel's normal."""
     normal = np.array(PANELS[panel], dtype=float)
     first = np.roll(np.abs(normal), 1)
     second = np.cross(normal, first)  # first × second = normal: counter-clockwise seen from inside
@@ -132,8 +131,8 @@ def panel_mesh(panel: str) -> Mesh:
 
 
 def _open_region(panels: tuple[str, ...], transforms: tuple[Transform, ...]) -> OpenRegion:
-    """The half-spaces in front of the transformed panels."""
-    # A transform rotates, then scales: normals take the inverse scale.
+    """Return the half-spaces in front of the transformed panels."""
+    # a transform rotates, then scales: normals take the inverse scale
     normals = np.stack(
         [rotation_matrix(t.rotation) @ PANELS[p] / np.array(t.scale) for p, t in zip(panels, transforms, strict=True)]
     )

@@ -13,7 +13,7 @@ from rfpp.scene.spec import Camera
 
 @dataclass(frozen=True)
 class CameraSampler:
-    """Cameras on a shell around the scene's centre, looking into the open side of the background.
+    """Cameras on a shell around the scene's centre, in front of the background.
 
     Attributes:
         count: cameras per scene.
@@ -22,7 +22,7 @@ class CameraSampler:
         up_jitter: displacement of the up vector from +z, per axis.
         fov: full angle in degrees along the longer image side.
         elevation: degrees above the horizon, seen from the target.
-        clearance: least distance of a camera to the plane of every panel.
+        clearance: minimum distance of a camera to the plane of every panel.
     """
 
     count: int
@@ -37,7 +37,7 @@ class CameraSampler:
         freeze_intervals(self)
 
     def sample(self, rng: np.random.Generator, open_region: OpenRegion) -> tuple[Camera, ...]:
-        """`count` independent cameras."""
+        """Draw `count` independent cameras."""
         return tuple(self._camera(rng, open_region) for _ in range(self.count))
 
     def _camera(self, rng: np.random.Generator, open_region: OpenRegion) -> Camera:

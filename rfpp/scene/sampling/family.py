@@ -1,4 +1,4 @@
-"""Random scene families: backgrounds, objects, materials, lights and cameras put together."""
+"""Random scene families: backgrounds, objects, materials, lights and cameras."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from rfpp.scene.spec import Camera, Scene, SceneObject
 
 @dataclass(frozen=True)
 class TriangleBudget:
-    """How many triangles a scene has, and how many of them each object gets.
+    """Numbers of objects and triangles of a scene.
 
     Attributes:
-        scene: triangles of a scene, with its background and lights.
-        objects: objects of a scene, without its background and lights.
+        scene: triangles, including background and lights.
+        objects: number of objects, without background and lights.
         per_object: triangles of an object.
     """
 
@@ -37,13 +37,13 @@ class TriangleBudget:
         freeze_intervals(self)
 
     def sample(self, rng: np.random.Generator, taken: int) -> Int[np.ndarray, " objects"]:
-        """Even triangle counts of the objects of one scene in which `taken` triangles are spoken for.
+        """Draw even triangle counts of the objects of a scene, given `taken` triangles of background and lights.
 
-        The scene's total is uniform over what the three intervals allow, the number of objects uniform over what the
-        total allows; the objects share the rest, unevenly.
+        The total is uniform over the feasible range, the number of objects uniform over the range feasible for the
+        total; objects divide the rest unevenly.
 
         Raises:
-            SceneError: the intervals contradict one another.
+            SceneError: If the intervals contradict each other.
         """
         (low, high), (fewest, most), (smallest, largest) = self.scene, self.objects, self.per_object
         smallest, largest = smallest + smallest % 2, largest - largest % 2
@@ -61,18 +61,18 @@ class TriangleBudget:
 def shared_out(
     rng: np.random.Generator, total: int, count: int, smallest: int, largest: int
 ) -> Int[np.ndarray, " count"]:
-    """`count` random even numbers in [smallest, largest] (both even) that add up to `total`, or one less if it is odd.
+    """Draw `count` even numbers in [smallest, largest] (both even) with sum `total`, or one less if it is odd.
 
-    They are smallest + (largest - smallest) · uᵞ with independent uniform u and the γ that gives the sum: uniform if
-    the total is the middle one, bunched towards an end otherwise.
+    They are smallest + (largest - smallest) · uᵞ with independent uniform u and the γ that gives the sum: uniform for
+    the middle total, concentrated at one end otherwise.
     """
     u = rng.uniform(1e-6, 1 - 1e-6, count)
-    low, high = -20.0, 20.0  # of log γ, far beyond what float64 can tell from "all largest" and "all smallest"
+    low, high = -20.0, 20.0  # of log γ, far beyond float64's resolution
     for _ in range(60):
         middle = (low + high) / 2
         numbers = smallest + (largest - smallest) * u ** np.exp(middle)
         low, high = (middle, high) if numbers.sum() > total else (low, middle)
-    # Rounding the running sum keeps the total and moves no number by more than two.
+    # rounding the running sum keeps the total and changes each number by at most two
     return np.diff(np.round(np.cumsum(numbers)).astype(np.int64) // 2 * 2, prepend=0)
 
 
@@ -80,17 +80,17 @@ def shared_out(
 class SceneFamily:
     """A distribution over scenes.
 
-    Geometry, materials and lights come from one rng and cameras from another, so that a scene can be seen again from
-    new viewpoints. Every component has its own stream: changing one leaves the draws of the others as they were.
+    Geometry, materials and lights come from one rng and cameras from another, so that a scene can be rendered from new
+    viewpoints. Every component has its own stream: changing one does not change the draws of the others.
 
     Attributes:
-        name: of the family; scenes are called after it.
+        name: of the family and its scenes.
         objects: source of object meshes.
         budget: number of objects and of triangles.
-        placement: where the objects stand.
+        placement: of the objects.
         materials: of the objects.
         background_materials: of floor and walls.
-        backgrounds, lights, cameras: see there.
+        backgrounds, lights, cameras: samplers of each.
     """
 
     name: str
@@ -104,12 +104,18 @@ class SceneFamily:
     cameras: CameraSampler
 
     def sample(self, scene_rng: np.random.Generator, camera_rng: np.random.Generator, *, held_out: bool) -> Scene:
-        """A scene: background panels, then objects, then lights, named background_0, object_0, light_0 and so on.
+        """Draw a scene: panels background_0, …, objects object_0, …, lights light_0, …
 
-        Of an object in several parts each is one of the scene's objects, named object_0_0, object_0_1 and so on.
+        The parts of an object are separate objects of the scene, object_0_0, object_0_1, … Equal generators give equal
+        scenes.
 
-        Objects come from those that are held out for test scenes, or from all others. The same generators give the
-        same scene. Raises SceneError where the family's numbers contradict one another.
+        Args:
+            scene_rng: Generator of everything but cameras.
+            camera_rng: Generator of cameras.
+            held_out: Use objects that are held out for test scenes, instead of all others.
+
+        Raises:
+            SceneError: If the family's numbers contradict each other.
         """
         streams = scene_rng.spawn(7)
         background = self.backgrounds.sample(streams[0])
@@ -129,7 +135,7 @@ class SceneFamily:
         )
 
     def sample_cameras(self, scene_rng: np.random.Generator, camera_rng: np.random.Generator) -> tuple[Camera, ...]:
-        """The cameras alone of `sample` with the same generators, at no more cost than theirs."""
+        """Draw only the cameras of `sample` with the same generators."""
         background = self.backgrounds.sample(scene_rng.spawn(7)[0])
         return self.cameras.sample(camera_rng, background.open_region)
 

@@ -1,4 +1,4 @@
-"""Random lights: small glowing triangles outside the scene."""
+"""Random lights: small emissive triangles outside the scene."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ TRIANGLE = ((-0.025, 0.025, 0.025), (0.025, -0.025, 0.025), (0.025, 0.025, -0.02
 
 @dataclass(frozen=True)
 class LightSampler:
-    """White one-triangle objects on a shell above the scene, all within the open side of the background.
+    """White one-triangle objects on a shell above the scene, in front of the background.
 
     Attributes:
         count: number of lights.
-        strength: radiance of a light times their number, so that the sum over the lights stays in the interval.
+        strength: radiance of a light times the number of lights, so that their sum stays in the interval.
         scale: of the triangle, per axis.
         rotation: degrees, per axis.
         distance: from a target at the scene's centre.
         target_jitter: displacement of that target per axis.
         elevation: degrees above the horizon, seen from the target.
-        clearance: least distance of a light's origin to the plane of every panel.
-        spacing: two lights are farther apart than this.
+        clearance: minimum distance of a light's origin to the plane of every panel.
+        spacing: minimum distance between two lights.
     """
 
     count: Interval
@@ -45,7 +45,7 @@ class LightSampler:
         freeze_intervals(self)
 
     def sample(self, rng: np.random.Generator, open_region: OpenRegion) -> list[SceneObject]:
-        """The lights of one scene, named light_0, light_1, …"""
+        """Draw the lights of a scene, named light_0, light_1, …"""
         count = uniform_integer(rng, self.count)
         positions = np.empty((0, 3))
         for _ in range(count):
@@ -68,7 +68,7 @@ class LightSampler:
             scale=tuple(uniform(rng, self.scale, 3).tolist()),
             normalize=False,
         )
-        # Emitters keep a white diffuse lobe, as in RenderFormer's scenes.
+        # emitters have a white diffuse lobe, as in RenderFormer's scenes
         material = Material(
             diffuse=(1.0,) * 3, specular=(0.0,) * 3, roughness=1.0, emissive=(uniform(rng, self.strength) / count,) * 3
         )
@@ -76,5 +76,5 @@ class LightSampler:
 
 
 def triangle_mesh() -> Mesh:
-    """The one-triangle mesh that every light is a copy of."""
+    """Return the mesh of every light."""
     return Mesh(np.array(TRIANGLE), np.array([[0, 1, 2]]))

@@ -13,14 +13,14 @@ from rfpp.scene.spec import Material
 
 @dataclass(frozen=True)
 class MaterialSampler:
-    """One material per object, as RenderFormer draws them; all quantities are independent.
+    """RenderFormer's material distribution, one material per object; all quantities are independent.
 
     Attributes:
-        reflectance: diffuse plus specular albedo, before the diffuse part is coloured.
-        specular_share: the part of it that is specular, which is white; the rest is diffuse.
-        diffuse_colour: factor on the diffuse part, drawn per channel.
+        reflectance: diffuse plus specular albedo, before the diffuse part is multiplied by its color.
+        specular_share: white specular share of the reflectance; the rest is diffuse.
+        diffuse_colour: factor of the diffuse part, drawn per channel.
         roughness: log-uniform in roughness + `roughness_shift`, so that mirrors are common but not the rule.
-        smooth_shading: the probability of smooth shading.
+        smooth_shading: probability of smooth shading.
     """
 
     reflectance: Interval
@@ -34,12 +34,12 @@ class MaterialSampler:
         freeze_intervals(self)
 
     def sample(self, rng: np.random.Generator) -> Material:
-        """A non-emissive material that reflects no more light than it receives."""
+        """Draw a non-emissive material that conserves energy."""
         reflectance = uniform(rng, self.reflectance)
         specular = uniform(rng, self.specular_share) * reflectance
         diffuse = (reflectance - specular) * uniform(rng, self.diffuse_colour, 3)
         low, high = (math.log(limit + self.roughness_shift) for limit in self.roughness)
-        # exp and log need not cancel to the last bit at the ends.
+        # exp and log may not cancel exactly at the ends
         roughness = float(np.clip(math.exp(rng.uniform(low, high)) - self.roughness_shift, *self.roughness))
         return Material(
             diffuse=tuple(diffuse.tolist()),

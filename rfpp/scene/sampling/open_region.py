@@ -1,4 +1,4 @@
-"""The open region of a background: the convex space in front of its floor and walls."""
+"""The convex space in front of a background's floor and walls."""
 
 from __future__ import annotations
 
@@ -15,10 +15,9 @@ _ATTEMPTS = 2000
 
 @dataclass(frozen=True, eq=False)
 class OpenRegion:
-    """Half-spaces, one per panel, the floor first; panels count as endless.
+    """Intersection of half-spaces, one per panel (taken as infinite), the floor first.
 
-    The region is convex: what stands in it is hidden from nothing else in it by a panel. So cameras and lights that
-    are drawn here see their target whatever the tilt of the walls.
+    The region is convex, so no panel hides points in it from each other: cameras and lights in it see their targets.
 
     Attributes:
         normals: [P, 3] unit normals that point into the region.
@@ -29,7 +28,7 @@ class OpenRegion:
     offsets: Float[np.ndarray, " panels"]
 
     def distances(self, points: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch panels"]:
-        """Signed distances of the points to every panel's plane, positive in front."""
+        """Return signed distances of points to every panel's plane, positive in front."""
         return points @ self.normals.T - self.offsets
 
     def draw_position(
@@ -42,17 +41,17 @@ class OpenRegion:
         others: Float[np.ndarray, "count 3"],
         spacing: float,
     ) -> Float[np.ndarray, 3]:
-        """A position at `distance` from `target`, in a direction uniform over the part of the sphere that is allowed.
+        """Draw a position at `distance` from `target`, uniformly over the valid directions.
 
-        Allowed are directions with an elevation (degrees above the horizon, seen from the target) in the interval
-        that lead to a point at least `clearance` in front of every panel and more than `spacing` away from `others`.
+        A direction is valid if its elevation (degrees above the horizon, seen from the target) is in the interval, and
+        the position is at least `clearance` in front of every panel and more than `spacing` away from `others`.
 
         Raises:
-            SceneError: nothing is allowed.
+            SceneError: If no valid position is found.
         """
         low, high = np.sin(np.radians(elevation))
         for _ in range(_ATTEMPTS):
-            height, azimuth = rng.uniform(low, high), rng.uniform(0, 2 * np.pi)  # equal areas (Archimedes)
+            height, azimuth = rng.uniform(low, high), rng.uniform(0, 2 * np.pi)  # equal areas
             level = np.sqrt(1 - height**2)
             position = target + distance * np.array([level * np.cos(azimuth), level * np.sin(azimuth), height])
             if (self.distances(position) > clearance).all() and not _any_within(spacing, position, others):
@@ -64,7 +63,7 @@ class OpenRegion:
 
 
 def draw_target(rng: np.random.Generator, jitter: Interval) -> np.ndarray:
-    """[3] the point that a camera or light is aimed at: the scene's centre, displaced along each axis."""
+    """Draw the target of a camera or light: the scene's centre, displaced along each axis."""
     return uniform(rng, jitter, 3)
 
 

@@ -13,8 +13,7 @@ from rfpp.scene.mesh import Mesh
 from rfpp.scene.sampling.interval import Interval, freeze_intervals, uniform
 from rfpp.scene.sampling.open_region import OpenRegion
 from rfpp.scene.sampling.sizes import SizeSampler
-from rfpp.scene.spec import Transform
-from rfpp.scene.triangles import rotation_matrix
+from rfpp.scene.spec import Transform, rotation_matrix
 
 #: Objects stay inside [-0.5, 0.5]^3.
 _HALF_EXTENT = 0.5
@@ -23,16 +22,16 @@ _SHRINKS = 60
 
 @dataclass(frozen=True)
 class Placement:
-    """Positions by rejection, the largest object first.
+    """Rejection sampling of positions, the largest object first.
 
     Attributes:
-        sizes: of the objects, where there is room for them.
+        sizes: of the objects, reduced where there is no room.
         rotation: degrees about each axis.
-        floating: the probability that an object floats above the floor instead of resting on it.
+        floating: probability that an object floats above the floor instead of resting on it.
         gap: distance of a resting object's lowest vertex to the floor.
-        margin: least distance between the bounding boxes of two objects, and between an object and a wall.
+        margin: minimum distance between the bounding boxes of two objects, and between an object and a wall.
         attempts: positions tried before an object is shrunk.
-        shrink: factor on its size when all of them failed.
+        shrink: factor of its size after all attempts failed.
     """
 
     sizes: SizeSampler
@@ -47,10 +46,10 @@ class Placement:
         freeze_intervals(self)
 
     def sample(self, rng: np.random.Generator, meshes: Sequence[Mesh], open_region: OpenRegion) -> list[Transform]:
-        """One transform for each normalised mesh, in their order.
+        """Return one transform per normalised mesh, in order.
 
         Raises:
-            SceneError: a mesh found no room however small.
+            SceneError: If there is no room for a mesh at any size.
         """
         radii = self.sizes.sample(rng, len(meshes))
         boxes = np.empty((0, 2, 3))
@@ -63,12 +62,12 @@ class Placement:
     def _placed(
         self, rng: np.random.Generator, mesh: Mesh, radius: float, open_region: OpenRegion, boxes: np.ndarray
     ) -> tuple[Transform, np.ndarray]:
-        """A transform that keeps clear of the panels and of the boxes [N, 2, 3], and the world box [2, 3] it fills."""
+        """Return a transform clear of the panels and of the boxes [N, 2, 3], and the object's world box [2, 3]."""
         rotation = self._rotation(rng)
         floats = rng.random() < self.floating
         rotated = mesh.vertices @ rotation_matrix(tuple(rotation)).T
         unit_box = np.stack([rotated.min(axis=0), rotated.max(axis=0)])
-        unit_reach = (rotated @ open_region.normals.T).min(axis=0)  # [P] the vertex closest to each panel
+        unit_reach = (rotated @ open_region.normals.T).min(axis=0)  # [P] of the vertex closest to each panel
         scale = 2 * radius  # a normalised mesh has radius 0.5
         for _ in range(_SHRINKS):
             box, reach = scale * unit_box, scale * unit_reach
@@ -80,7 +79,7 @@ class Placement:
                     translation=tuple(centre.tolist()),
                     rotation=tuple(rotation.tolist()),
                     scale=(float(scale),) * 3,
-                    normalize=False,  # the source has normalised it, and the boxes are those of the mesh as it is
+                    normalize=False,  # the source has normalised the mesh
                 )
                 return transform, box + centre
             scale *= self.shrink
@@ -92,7 +91,7 @@ class Placement:
     def _candidates(
         self, rng: np.random.Generator, box: np.ndarray, reach: np.ndarray, open_region: OpenRegion, floats: bool
     ) -> np.ndarray:
-        """[attempts, 3] centres with the box inside the cube sideways, resting on the floor or floating above it."""
+        """Draw centres [attempts, 3] inside the cube sideways, resting on the floor or floating above it."""
         low, high = np.minimum(-_HALF_EXTENT - box[0], 0), np.maximum(_HALF_EXTENT - box[1], 0)
         centres = rng.uniform(low, high, (self.attempts, 3))
         normal, offset = open_region.normals[0], open_region.offsets[0]
@@ -105,7 +104,7 @@ class Placement:
     def _fits(
         self, centres: np.ndarray, box: np.ndarray, reach: np.ndarray, open_region: OpenRegion, boxes: np.ndarray
     ) -> np.ndarray:
-        """[attempts] bool: inside the cube, in front of every wall and clear of every box."""
+        """Return a mask [attempts] of centres inside the cube, in front of every wall and clear of every box."""
         low, high = centres + box[0], centres + box[1]
         inside = ((low >= -_HALF_EXTENT) & (high <= _HALF_EXTENT)).all(axis=1)
         in_front = (open_region.distances(centres)[:, 1:] + reach[1:] >= self.margin).all(axis=1)
@@ -115,10 +114,10 @@ class Placement:
 
 @dataclass(frozen=True)
 class UprightPlacement(Placement):
-    """As furniture stands in a room: most objects are turned about the vertical alone.
+    """Placement of furniture: most objects rotate only about the vertical axis.
 
     Attributes:
-        upright: the probability of that.
+        upright: probability of that.
     """
 
     upright: float

@@ -13,18 +13,18 @@ from rfpp.scene.sampling.interval import Interval, freeze_intervals, uniform
 
 @runtime_checkable
 class SizeSampler(Protocol):
-    """Draws the radii of the bounding spheres of the `count` objects of one scene, before any is placed."""
+    """Draws the bounding-sphere radii of the objects of a scene before placement."""
 
     def sample(self, rng: np.random.Generator, count: int) -> Float[np.ndarray, " count"]: ...
 
 
 @dataclass(frozen=True)
 class SharedSpace:
-    """The more objects, the smaller: log-normal around the radius at which all together fill a share of the cube.
+    """Log-normal radii around a base radius that decreases with the number of objects.
 
     Attributes:
-        fill: share φ of the unit cube that N spheres of the base radius (3φ / 4πN)^(1/3) would fill.
-        spread: standard deviation of the logarithm of a radius around it.
+        fill: share φ of the unit cube filled by N spheres of the base radius (3φ / 4πN)^(1/3).
+        spread: standard deviation of the logarithm of a radius.
         max_radius: upper bound, so that no object hides the whole scene.
     """
 
@@ -42,7 +42,7 @@ class SharedSpace:
 
 @dataclass(frozen=True)
 class UniformRadius:
-    """Independent of the number of objects.
+    """Uniform radii, independent of the number of objects.
 
     Attributes:
         radius: of the bounding spheres.

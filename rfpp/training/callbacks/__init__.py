@@ -1,1 +1,1 @@
-"""Callbacks: consistency, image panels, throughput, checkpoints, use of network parts."""
+"""Lightning callbacks: checkpoints, exact resumption, logging."""

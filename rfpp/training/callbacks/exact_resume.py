@@ -1,4 +1,4 @@
-"""State missing from Lightning checkpoints for bit-exact resumption: random states and rank-independent counters."""
+"""Resume a run bit by bit: state that Lightning's checkpoints lack, and loop counters for any number of ranks."""
 
 from __future__ import annotations
 
@@ -12,38 +12,33 @@ import torch.distributed as dist
 
 from rfpp.batch import RaggedBatch
 
-#: Where a checkpoint keeps the random state of each rank.
+#: Key of the random states of all ranks in a checkpoint.
 RANDOM_KEY = "random_states"
 
 
 class ExactResume(L.Callback):
-    """Saves the random state of every rank; corrects loop counters if the division of batches has changed.
+    """Saves and restores the random state of every rank, and restarts Lightning's loops after the checkpoint's step.
 
-    A run may go on with another number of ranks: the data's order does not depend on it, and ranks that were not there
-    before are seeded anew.
+    A run may be resumed with another number of ranks: the order of the data does not depend on it. Additional ranks
+    get new random states.
     """
 
     def __init__(self) -> None:
         self._states: list[dict[str, Any]] | None = None
 
     def on_save_checkpoint(self, trainer: L.Trainer, module: L.LightningModule, checkpoint: dict[str, Any]) -> None:
-        states: list[Any] = [None] * trainer.world_size
+        states: list[Any] = [random_state()]
         if trainer.world_size > 1:
+            states = [None] * trainer.world_size
             dist.all_gather_object(states, random_state())
-        else:
-            states = [random_state()]
         checkpoint[RANDOM_KEY] = states
 
     def on_load_checkpoint(self, trainer: L.Trainer, module: L.LightningModule, checkpoint: dict[str, Any]) -> None:
         self._states = checkpoint[RANDOM_KEY]
-        batches = checkpoint["global_step"] * trainer.accumulate_grad_batches
-        progress = checkpoint["loops"]["fit_loop"]["epoch_loop.batch_progress"]
-        for counts in (progress["total"], progress["current"]):
-            begun = counts["ready"] - counts["completed"]  # 1 where it was saved before the batch was done with
-            counts.update(ready=batches, started=batches, processed=batches, completed=batches - begun)
+        restart_after(checkpoint["loops"]["fit_loop"], checkpoint["global_step"], trainer.accumulate_grad_batches)
 
     def on_train_batch_start(self, trainer: L.Trainer, module: L.LightningModule, batch: RaggedBatch, _: int) -> None:
-        # not earlier: what is set up before the first batch may draw random numbers
+        # not earlier: setting up training may draw random numbers
         if self._states is None:
             return
         states, self._states = self._states, None
@@ -53,10 +48,31 @@ class ExactResume(L.Callback):
             torch.manual_seed(torch.initial_seed() + rank)
 
 
+def restart_after(fit_loop: dict[str, Any], step: int, accumulate: int) -> None:
+    """Set the loop counters of a checkpoint to those of one saved in Lightning's `on_train_batch_end`.
+
+    Lightning resumes differently depending on the hook in which a checkpoint was saved, and counts batches, whose
+    number per step changes with the number of ranks. Training has one epoch, see GlobalBatches.
+
+    Args:
+        fit_loop: State of Lightning's fit loop, modified.
+        step: Optimizer steps before the checkpoint.
+        accumulate: Batches per step after it.
+    """
+    batches = step * accumulate
+    progress = fit_loop["epoch_loop.batch_progress"]
+    for counts in (progress["total"], progress["current"]):
+        counts.update(ready=batches, started=batches, processed=batches, completed=batches - 1)
+    progress["is_last_batch"] = False
+    for counts in (fit_loop["epoch_progress"]["total"], fit_loop["epoch_progress"]["current"]):
+        counts.update(ready=1, started=1, processed=0, completed=0)
+    fit_loop["epoch_loop.state_dict"]["_batches_that_stepped"] = step - 1
+
+
 def random_state() -> dict[str, Any]:
-    """The state of every generator of this process, as tensors and plain values."""
+    """Return the state of every random generator of this process, as tensors and plain values."""
     version, internal, gauss = random.getstate()
-    name, keys, position, has_gauss, cached = np.random.get_state()  # noqa: NPY002 libraries may draw from it
+    name, keys, position, has_gauss, cached = np.random.get_state()  # noqa: NPY002 (libraries may draw from it)
     return {
         "python": [version, torch.tensor(internal, dtype=torch.int64), gauss],
         "numpy": [name, torch.from_numpy(keys.astype(np.int64)), position, has_gauss, cached],
@@ -66,6 +82,7 @@ def random_state() -> dict[str, Any]:
 
 
 def restore_random_state(state: dict[str, Any]) -> None:
+    """Restore what `random_state` returned."""
     version, internal, gauss = state["python"]
     random.setstate((version, tuple(internal.tolist()), gauss))
     name, keys, position, has_gauss, cached = state["numpy"]

@@ -1,8 +1,8 @@
-"""Log panels of fixed validation scenes with references, bounce by bounce."""
+"""Log images of fixed validation scenes beside their references, bounce by bounce."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 
 import lightning as L
@@ -15,21 +15,19 @@ from rfpp.imaging.panels import Picture, panel, save_picture, signed_error_map, 
 from rfpp.imaging.radiance import log_decode
 from rfpp.training.tracking.run_logger import RunLogger
 
-#: The pictures of a scene, by the sheet and the column they are for.
+#: Pictures of a scene, by sheet and column.
 Row = dict[str, dict[str, Picture]]
 
 
 class ImagePanels(L.Callback):
     """Writes image sheets with one row per scene, and logs them as artifacts in `panels/`.
 
-    (MLflow's image charts list all of a run's parameters above the image.)
-
-    `panels-…`: reference, prediction, signed error and, for networks that are given it, the albedo.
-    `bounces-…`: the image decoded after each application of the transport operator, for networks that have one.
+    `panels-000150.png`, after step 150: reference, prediction, signed error, and albedo if the network reads it.
+    `bounces-000150.png`: the image decoded after each application of the transport operator, if the network has one.
 
     Args:
-        folder: where the sheets are kept, as `panels-000150.png` after step 150.
-        scenes: how many validation scenes to show, first view each.
+        folder: Folder of the sheets.
+        scenes: Number of validation scenes, the first view of each.
     """
 
     def __init__(self, folder: str, scenes: int):
@@ -48,14 +46,14 @@ class ImagePanels(L.Callback):
         batch_index: int,
         dataloader_index: int = 0,
     ) -> None:
-        scene = batch_index * trainer.world_size + trainer.global_rank  # validation goes round the ranks
+        scene = batch_index * trainer.world_size + trainer.global_rank  # ranks take turns
         if scene < self.scenes:
             with trainer.precision_plugin.forward_context():
                 self._rows[scene] = pictures(module.network, batch, outputs["radiance"])
 
     def on_validation_end(self, trainer: L.Trainer, module: L.LightningModule) -> None:
-        rows = _of_all_ranks(self._rows)
-        if trainer.fast_dev_run or not (trainer.is_global_zero and rows):
+        rows = _gather(self._rows)
+        if not (trainer.is_global_zero and rows):
             return
         for sheet in rows[0]:
             columns = {name: [row[sheet][name] for row in rows] for name in rows[0][sheet]}
@@ -67,11 +65,12 @@ class ImagePanels(L.Callback):
 
 @torch.no_grad()
 def pictures(network: torch.nn.Module, batch: RaggedBatch, radiance: Tensor) -> Row:
-    """The pictures of a batch's first scene, from its first camera.
+    """Return the pictures of a batch's first scene, from its first camera.
 
     Args:
-        network: in evaluation mode.
-        radiance: [B, V, 3, H, W] its prediction.
+        network: Network in evaluation mode.
+        batch: Batch of one or more scenes.
+        radiance: Prediction [B, V, 3, H, W].
     """
     reference, prediction = _image(batch.image), _image(radiance)
     row = {
@@ -84,22 +83,24 @@ def pictures(network: torch.nn.Module, batch: RaggedBatch, radiance: Tensor) -> 
     if network.gbuffer_channels[:1] == ("albedo",):
         row["panels"]["albedo"] = tone_mapped(_image(batch.gbuffer[:, :, :3]))
     if network.iterations:
-        states, _ = network.bounces(batch, network.iterations)
-        row["bounces"] = {f"after {k} bounces": tone_mapped(_image(log_decode(s))) for k, s in enumerate(states)}
+        scenes, _ = network.transported_each(*network.tokenize(batch), network.iterations)
+        view = (batch.c2w[:, :1], batch.fov[:, :1], batch.gbuffer[:, :1])
+        images = (_image(log_decode(network.view(scene, *view))) for scene in scenes)
+        row["bounces"] = {f"after {k} bounces": tone_mapped(image) for k, image in enumerate(images)}
         row["bounces"]["reference"] = row["panels"]["reference"]
     return row
 
 
 def _image(images: Tensor) -> np.ndarray:
-    """[B, V, 3, H, W] → the first, [H, W, 3]."""
+    """Return the first image, [B, V, 3, H, W] → [H, W, 3]."""
     return images[0, 0].float().clamp_min(0).permute(1, 2, 0).cpu().numpy()
 
 
-def _of_all_ranks(rows: dict[int, Row]) -> Sequence[Row]:
-    """The rows of all ranks in the order of the scenes; with several ranks, on rank 0 only."""
-    everyone = [rows]
+def _gather(rows: dict[int, Row]) -> list[Row]:
+    """Return the rows of all ranks in the order of the scenes; empty on all ranks but the first."""
+    gathered = [rows]
     if distributed.is_available() and distributed.is_initialized():
-        everyone = [None] * distributed.get_world_size() if distributed.get_rank() == 0 else None
-        distributed.gather_object(rows, everyone)
-    merged = {scene: row for of_rank in everyone or [] for scene, row in of_rank.items()}
+        gathered = [None] * distributed.get_world_size() if distributed.get_rank() == 0 else None
+        distributed.gather_object(rows, gathered)
+    merged = {scene: row for of_rank in gathered or [] for scene, row in of_rank.items()}
     return [merged[scene] for scene in sorted(merged)]

@@ -9,23 +9,24 @@ import sys
 from pathlib import Path
 
 from rfpp.errors import UserError
+from rfpp.training.tracking.registry import first_line
 from rfpp.training.tracking.sending import Sender
 
 
 def main(folders: list[str]) -> int:
-    """Send journals; returns the exit status, 1 if something could not be sent."""
+    """Send journals; return the exit status, 1 if one could not be sent."""
     status = 0
     for folder in folders:
         try:
             sender = Sender(Path(folder))
             sender.send()
-            print(f"{folder}: MLflow run {sender.target.run_id} in {sender.target.tracking_uri} is complete")
+            print(f"{folder}: MLflow run {sender.mlflow_run.run_id} in {sender.mlflow_run.tracking_uri} is complete")
         except UserError as error:
             print(f"error: {error}", file=sys.stderr)
             status = 1
-        except Exception as error:  # of MLflow's, whose kinds are many
-            reason = (str(error).splitlines() or [type(error).__name__])[0]
-            print(f"error: {folder}: cannot be sent to {sender.target.tracking_uri} ({reason})", file=sys.stderr)
+        except Exception as error:  # MLflow raises exceptions of many libraries
+            reason = f"cannot be sent to {sender.mlflow_run.tracking_uri} ({first_line(error)})"
+            print(f"error: {folder}: {reason}", file=sys.stderr)
             status = 1
     return status
 

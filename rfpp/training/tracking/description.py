@@ -13,12 +13,12 @@ import torch
 
 from rfpp.folders import is_installed
 
-#: How Slurm calls a job, and the tag for it.
+#: Tags of the variables that Slurm sets in a job.
 SLURM_TAGS = {"SLURM_JOB_ID": "slurm_job_id", "SLURM_ARRAY_TASK_ID": "slurm_array_task_id"}
 
 
 def flattened(config: dict[str, Any], prefix: str = "") -> dict[str, str]:
-    """{"a": {"b": 1}} → {"a.b": "1"}."""
+    """Flatten nested settings: {"a": {"b": 1}} → {"a.b": "1"}."""
     flat: dict[str, str] = {}
     for key, value in config.items():
         if isinstance(value, dict) and value:
@@ -29,20 +29,20 @@ def flattened(config: dict[str, Any], prefix: str = "") -> dict[str, str]:
 
 
 def machine_tags() -> dict[str, str]:
-    """The host, and the Slurm job where there is one."""
+    """Return the host name, and the Slurm job if there is one."""
     jobs = {tag: os.environ[variable] for variable, tag in SLURM_TAGS.items() if variable in os.environ}
     return {"host": socket.gethostname(), **jobs}
 
 
 def hardware(device: torch.device) -> str:
-    """The device in words, e.g. "NVIDIA A100-SXM4-80GB" or "AMD EPYC, 2 cores"."""
+    """Return the name of a device, e.g. "NVIDIA A100-SXM4-80GB" or "AMD EPYC, 2 cores"."""
     if device.type == "cuda":
         return torch.cuda.get_device_name(device)
     return f"{_processor()}, {os.cpu_count()} cores"
 
 
 def _processor() -> str:
-    """The processor's name as the kernel gives it; Python itself knows little more than the architecture."""
+    """Return the processor's name from the kernel; Python's platform module often has only the architecture."""
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
     except OSError:
@@ -52,23 +52,23 @@ def _processor() -> str:
 
 
 def code_version() -> str | None:
-    """The commit of this checkout, with `-dirty` when files differ from it; None outside a repository.
+    """Return the commit of this checkout, with `-dirty` if files differ from it; None outside a repository.
 
-    A copy that is no clone, in a container say, is told by RFPP_COMMIT.
+    RFPP_COMMIT overrides it, for copies without a repository such as containers.
     """
-    if told := os.environ.get("RFPP_COMMIT"):
-        return told
+    if given := os.environ.get("RFPP_COMMIT"):
+        return given
     described = _git("describe", "--always", "--dirty", "--abbrev=12", "--exclude=*")
     return None if described is None else described.strip()
 
 
 def code_changes() -> str:
-    """Uncommitted changes of the checkout as a patch; empty if there are none."""
+    """Return the checkout's uncommitted changes as a patch; empty if there are none."""
     return _git("diff", "HEAD", "--binary") or ""
 
 
 def _git(*arguments: str) -> str | None:
-    """Output of a git command in this checkout; None outside a repository, or inside another project's."""
+    """Run git in this checkout and return its output; None outside a repository, or in an installed package."""
     if is_installed():
         return None
     try:

@@ -1,4 +1,4 @@
-"""The journal: a local log of everything a run sends to MLflow."""
+"""Journal of a run: a local log of everything that is sent to MLflow."""
 
 from __future__ import annotations
 
@@ -13,25 +13,25 @@ from typing import Any
 
 from rfpp.errors import UserError
 
-#: What a run folder keeps it as.
+#: Path of the journal in a run's folder.
 JOURNAL = Path("tracking") / "journal.jsonl"
 
-#: A record: what it is (`kind`), when it was written (`time`, ms since 1970), and what belongs to it.
+#: A record: its `kind`, the `time` when it was written (milliseconds since 1970), and its content.
 Record = dict[str, Any]
 
 
 class Journal:
-    """Records as JSON lines, appended and never changed.
+    """Append-only log of records, as JSON lines.
 
-    A line is handed to the operating system whole before training goes on, so that a killed process has lost none.
-    A run that goes on from a checkpoint repeats some steps, and repeats them exactly: what is in the journal already
-    is not written a second time. A last line that a crash cut short is dropped.
+    Each line is handed to the operating system before training continues, so a killed process loses none. A run
+    resumed from a checkpoint repeats the steps after it exactly; the journal ignores repeated steps. An incomplete
+    last line is removed.
 
     Args:
-        path: of the file; made with its folder where there is none.
+        path: File of the journal, created with its folder if missing.
 
     Raises:
-        UserError: the file cannot be written.
+        UserError: If the file cannot be written.
     """
 
     def __init__(self, path: Path):
@@ -42,31 +42,32 @@ class Journal:
         self.starts = 0
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            self._file = open(path, "ab", buffering=0)  # noqa: SIM115 (open as long as the run)
-            self._file.truncate(_whole_lines(path))
+            self._file = open(path, "ab", buffering=0)  # noqa: SIM115 (open for the whole run)
+            complete = 0
+            for record, following in records(path):
+                self._remember(record)
+                complete = following
+            self._file.truncate(complete)
         except OSError as error:
             raise self._unwritable(error) from None
-        for record, _ in records(path):
-            self._remember(record)
-
-    @property
-    def size(self) -> int:
-        """Bytes written so far."""
-        return os.fstat(self._file.fileno()).st_size
 
     def metrics(self, values: Mapping[str, float], step: int) -> None:
-        """Record what has not been recorded of this step or a later one."""
+        """Append metrics, except those already logged at this step or a later one."""
         new = {name: float(value) for name, value in values.items() if step > self._last_steps.get(name, -1)}
         if new:
             self.append("metrics", step=step, values=new)
 
     def parameters(self, values: Mapping[str, str]) -> None:
-        """Record the parameters that have no value yet: MLflow's cannot be changed."""
+        """Append parameters that have no value yet; MLflow's parameters cannot be changed."""
         if new := {name: value for name, value in values.items() if name not in self._parameters}:
             self.append("parameters", values=new)
 
     def append(self, kind: str, **content: Any) -> None:
-        """Append a record. Raises UserError if it cannot be written (full disk)."""
+        """Append a record.
+
+        Raises:
+            UserError: If it cannot be written, e.g. because the disk is full.
+        """
         record = {"kind": kind, "time": int(time.time() * 1000), **content}
         with self._lock:
             try:
@@ -76,7 +77,7 @@ class Journal:
             self._remember(record)
 
     def sync(self) -> None:
-        """Flush to disk. A checkpoint must not outlive the records of the steps before it."""
+        """Flush to disk, so that no checkpoint outlives the records of the steps before it."""
         os.fsync(self._file.fileno())
 
     def close(self) -> None:
@@ -98,9 +99,9 @@ class Journal:
 
 
 def records(path: Path, start: int = 0) -> Iterator[tuple[Record, int]]:
-    """The records from byte `start` on, each with the byte where the next one begins; whole lines alone.
+    """Yield the complete records from byte `start`, each with the byte offset of the next.
 
-    A line that is no record is warned of and left out.
+    Warns about damaged lines and omits them.
     """
     with open(path, "rb") as file:
         file.seek(start)
@@ -115,17 +116,3 @@ def records(path: Path, start: int = 0) -> Iterator[tuple[Record, int]]:
                 warnings.warn(f"{path}: damaged before byte {start}: one record is lost", stacklevel=2)
                 continue
             yield record, start
-
-
-def _whole_lines(path: Path) -> int:
-    """Bytes up to the end of the last whole line."""
-    with open(path, "rb") as file:
-        end = file.seek(0, os.SEEK_END)
-        while end > 0:
-            begin = max(end - 65536, 0)
-            file.seek(begin)
-            newline = file.read(end - begin).rfind(b"\n")
-            if newline >= 0:
-                return begin + newline + 1
-            end = begin
-    return 0

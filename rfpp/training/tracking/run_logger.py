@@ -1,10 +1,11 @@
-"""Base class of the loggers: writes everything to the run folder's journal."""
+"""Logger of a run without MLflow."""
 
 from __future__ import annotations
 
+import csv
+import io
 import re
-from abc import abstractmethod
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -15,45 +16,41 @@ from lightning.pytorch.utilities import rank_zero_only
 from rfpp.files import write_atomically
 from rfpp.shards.manifest import Manifest
 from rfpp.training.tracking.description import code_changes, flattened, machine_tags
-from rfpp.training.tracking.journal import JOURNAL, Journal
+from rfpp.training.tracking.journal import JOURNAL, Journal, Record, records
+
+#: File with all metrics in the run's folder.
+TABLE = "metrics.csv"
 
 
 class RunLogger(Logger):
-    """Writes to the run folder's journal; resumed runs append to it.
+    """Writes everything to the run folder's journal; resumed runs append to it.
+
+    Metrics are also written to metrics.csv, at each checkpoint and at the end. A run that resumes with
+    `logger=mlflow` sends its whole journal to MLflow.
 
     Args:
-        run_name: in tables.
-        run_dir: the run's folder.
+        run_name: Name of the run in tables.
+        run_dir: Folder of the run.
     """
 
     def __init__(self, run_name: str, run_dir: str | Path):
         super().__init__()
         self.run_dir, self._run_name = Path(run_dir), run_name
-        self._statuses = {"success": "FINISHED", "failed": "FAILED"}  # Lightning's words and MLflow's
+        self._statuses = {"success": "FINISHED", "failed": "FAILED"}  # Lightning's and MLflow's names
 
     @cached_property
     def _journal(self) -> Journal:
-        """Created on rank 0 at the first access; a run that fails before then leaves no journal."""
-        return self._begun()
+        """Journal, created on rank 0 at the first access: a run that fails before leaves nothing."""
+        return self._begin()
 
-    def _begun(self) -> Journal:
+    def _begin(self) -> Journal:
         journal = Journal(self.run_dir / JOURNAL)
         journal.append("status", value="RUNNING")
         return journal
 
-    @abstractmethod
     def _end(self) -> None:
-        """Called when the journal is complete."""
-
-    @property
-    @abstractmethod
-    def kept(self) -> str:
-        """Where metrics are stored, for the start summary on rank 0."""
-
-    @property
-    @abstractmethod
-    def whereabouts(self) -> str:
-        """Where to view the run, for the end summary on rank 0."""
+        """Finish, after the last record."""
+        self._write_table()
 
     @property
     def name(self) -> str:
@@ -65,23 +62,23 @@ class RunLogger(Logger):
 
     @property
     def run_id(self) -> str | None:
-        """MLflow's, if it is known."""
+        """MLflow's id of the run, or None."""
         return None
 
     @property
     def tracking_uri(self) -> str | None:
-        """Of MLflow's server or store, if there is one."""
+        """URI of MLflow's server or store, or None."""
         return None
 
     @property
-    def registered_model(self) -> str | None:
-        """`models:/<name>/<version>`, once MLflow has made the version."""
-        return None
+    def location(self) -> str:
+        """Place where the metrics are found, for summaries on rank 0."""
+        return f"metrics in {self.run_dir / TABLE}"
 
     @rank_zero_only
     def log_metrics(self, metrics: Mapping[str, float], step: int | None = None) -> None:
         named = {re.sub(r"[^\w/. -]+", "", name, flags=re.ASCII): value for name, value in metrics.items()}
-        named.pop("epoch", None)  # there are none, see GlobalBatches
+        named.pop("epoch", None)  # added by Lightning; training has no epochs, see GlobalBatches
         self._journal.metrics(named, step or 0)
 
     @rank_zero_only
@@ -89,24 +86,21 @@ class RunLogger(Logger):
         self._journal.parameters(flattened(params))
 
     @rank_zero_only
-    def log_tags(self, tags: Mapping[str, str]) -> None:
-        self._journal.append("tags", values=dict(tags))
-
-    @rank_zero_only
     def log_file(self, path: Path, folder: str | None = None) -> None:
         """Log a file of the run folder as an artifact."""
-        self._journal.append("artifact", path=self._inside(path), folder=folder)
+        self._journal.append("artifact", path=self._relative(path), folder=folder)
 
     @rank_zero_only
     def register_model(self, name: str, checkpoint: Path) -> None:
         """Register a checkpoint of the run folder as the next version of a model."""
-        self._journal.append("model", name=name, path=self._inside(checkpoint))
+        self._journal.append("model", name=name, path=self._relative(checkpoint))
 
     @rank_zero_only
     def describe(self, config: dict[str, Any], config_file: Path, manifest: Manifest, tags: Mapping[str, str]) -> None:
-        """Log what runs: config (as parameters and as a file), data set, code, machine, how often it was resumed."""
+        """Log config (as parameters and as a file), data set, code, machine, and the number of restarts."""
         self.log_hyperparams(config)
-        self.log_tags({**tags, **machine_tags(), "resumed": str(self._journal.starts - 1)})
+        tags = {**tags, **machine_tags(), "resumed": str(self._journal.starts - 1)}
+        self._journal.append("tags", values=tags)
         self.log_file(config_file, "config")
         if changes := code_changes():
             self.log_file(write_atomically(self.run_dir / "code.diff", changes.encode()), "code")
@@ -116,11 +110,12 @@ class RunLogger(Logger):
 
     @rank_zero_only
     def sync(self) -> None:
-        """See Journal.sync."""
+        """Flush to disk, see Journal.sync."""
         self._journal.sync()
+        self._write_table()
 
-    def will_go_on(self) -> None:
-        """Note that the run is stopped early and will be resumed in this folder."""
+    def mark_stopped(self) -> None:
+        """Record at the end that the run was stopped early, to be resumed in this folder."""
         self._statuses["failed"] = "KILLED"
 
     @rank_zero_only
@@ -131,6 +126,24 @@ class RunLogger(Logger):
         self._journal.sync()
         self._end()
 
-    def _inside(self, path: Path) -> str:
-        """The path relative to the run folder, which may be moved."""
+    def _relative(self, path: Path) -> str:
+        """Path relative to the run folder, which may be moved."""
         return str(Path(path).absolute().relative_to(self.run_dir.absolute()))
+
+    def _write_table(self) -> None:
+        table = metrics_table(record for record, _ in records(self.run_dir / JOURNAL))
+        write_atomically(self.run_dir / TABLE, table.encode())
+
+
+def metrics_table(journal: Iterable[Record]) -> str:
+    """Return CSV with a row per step and a column per metric; cells without a value are empty."""
+    rows: dict[int, dict[str, float]] = {}
+    for record in journal:
+        if record["kind"] == "metrics":
+            rows.setdefault(record["step"], {}).update(record["values"])
+    names = sorted({name for row in rows.values() for name in row})
+    text = io.StringIO()
+    table = csv.DictWriter(text, ["step", *names], restval="", lineterminator="\n")
+    table.writeheader()
+    table.writerows({"step": step, **rows[step]} for step in sorted(rows))
+    return text.getvalue()

@@ -6,7 +6,7 @@ import pytest
 
 from rfpp.errors import SceneError
 from rfpp.inference.motion.interpolation import bounded, flowing, turning
-from rfpp.scene.triangles import rotation_matrix
+from rfpp.scene.spec import rotation_matrix
 
 TIMES = [0.5, 1.0, 2.5, 3.0]
 PLACES = np.random.default_rng(0).uniform(-1, 1, (4, 3))

@@ -17,8 +17,8 @@ from rfpp.scene.io.loading import load_scene
 from rfpp.scene.io.renderformer_h5 import save_h5
 from rfpp.scene.io.saving import save_scene
 from rfpp.scene.packed import pack
-from rfpp.scene.spec import Camera
-from rfpp.scene.triangles import EMISSION, rotation_matrix
+from rfpp.scene.spec import Camera, rotation_matrix
+from rfpp.scene.triangles import EMISSION
 
 
 @pytest.fixture(scope="module")

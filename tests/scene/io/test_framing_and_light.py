@@ -14,7 +14,7 @@ from rfpp.raycast.known_light import with_known_light
 from rfpp.raycast.light_sampler import LightSampler
 from rfpp.scene.io.framing import Framing, default_camera
 from rfpp.scene.io.imported_scene import ImportedScene, Lamp, Part, plain_material
-from rfpp.scene.io.light_rig import USUAL, emitter, irradiance, lit
+from rfpp.scene.io.light_rig import USUAL, emitter, irradiance, with_lights
 from rfpp.scene.io.loading import load_scene
 from rfpp.scene.packed import pack as packed
 from rfpp.scene.spec import Camera
@@ -68,7 +68,7 @@ def test_scenes_made_for_the_box_stay_as_they_are(vertices: np.ndarray, stays: b
 def test_what_has_no_extent_or_is_invisible_is_refused() -> None:
     with pytest.raises(SceneError, match="no extent"):
         Framing.of((part(FLOOR * 0),))
-    with pytest.raises(SceneError, match="no surface that a camera can see"):
+    with pytest.raises(SceneError, match="no visible surface"):
         Framing.of((part(emission=1.0),))
 
 
@@ -124,7 +124,7 @@ def test_the_estimated_irradiance_is_that_of_the_ray_caster() -> None:
 def test_dark_scenes_get_three_lights() -> None:
     scene = ImportedScene("a", (part(),))
     with pytest.warns(UserWarning, match=r"a\.glb: it has no light: three lights are added"):
-        parts = lit(scene, CAMERA, FILE)
+        parts = with_lights(scene, CAMERA, FILE)
     assert [p.name for p in parts] == ["part", "key_light", "fill_light", "back_light"]
     assert USUAL / 10 < irradiance(parts) < USUAL
     for light in parts[1:]:
@@ -133,7 +133,7 @@ def test_dark_scenes_get_three_lights() -> None:
 
 def test_the_lights_that_are_added_burn_nothing_out() -> None:
     """Not even white, in the corner of the box that is nearest to them, and turned towards them."""
-    lights, rng = quietly(lit, ImportedScene("a", (part(),)), CAMERA, FILE)[1:], np.random.default_rng(0)
+    lights, rng = quietly(with_lights, ImportedScene("a", (part(),)), CAMERA, FILE)[1:], np.random.default_rng(0)
     places = rng.uniform(-0.5, 0.5, (300, 3)).round()  # corners, centres of sides and of the box
     brightest = 0.0
     for place, normal in zip(places, rng.normal(size=(300, 3)), strict=True):
@@ -147,15 +147,15 @@ def test_a_glowing_decal_is_no_light_for_a_scene() -> None:
     decal = part(FLOOR[[0, 1, 2]] * 0.02 + (0, 0, 0.3), emission=1.0)
     with (
         pytest.warns(UserWarning, match=r"emissive parts light the scene and are invisible to the camera \(1\)"),
-        pytest.warns(UserWarning, match=r"give it 0\.\d% of the usual light: three lights are added"),
+        pytest.warns(UserWarning, match=r"its brightness is 0\.\d% of training scenes': three lights are added"),
     ):
-        assert len(lit(ImportedScene("a", (part(), decal)), CAMERA, FILE)) == 5
+        assert len(with_lights(ImportedScene("a", (part(), decal)), CAMERA, FILE)) == 5
 
 
 def test_dazzling_lights_are_dimmed_together() -> None:
     lamps = (lamp(strength=400.0), lamp(position=(0.2, 0, 1), strength=200.0))
-    with pytest.warns(UserWarning, match=r"its lights are made 0\.00\d+ times as bright"):
-        parts = lit(ImportedScene("a", (part(),), lamps), CAMERA, FILE)
+    with pytest.warns(UserWarning, match=r"its lights are scaled by 0\.00\d+ to the brightness"):
+        parts = with_lights(ImportedScene("a", (part(),), lamps), CAMERA, FILE)
     assert irradiance(parts) == pytest.approx(USUAL, rel=0.01)
     first, second = (p.material[0, EMISSION][0] for p in parts[1:])
     assert first == pytest.approx(2 * second, rel=1e-5)
@@ -165,10 +165,10 @@ def test_dazzling_lights_are_dimmed_together() -> None:
 def test_ordinary_lights_are_left_alone(strength: float) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        parts = lit(ImportedScene("a", (part(),), (lamp(strength=strength),)), CAMERA, FILE)
+        parts = with_lights(ImportedScene("a", (part(),), (lamp(strength=strength),)), CAMERA, FILE)
     np.testing.assert_allclose(parts[1].material, emitter(lamp(strength=strength)).material)
 
 
 def test_spots_and_suns_say_that_they_shine_more_widely() -> None:
     with pytest.warns(UserWarning, match=r"spot and directional lights became triangles, .* \(2\)"):
-        lit(ImportedScene("a", (part(),), (lamp("spot"), lamp("directional"))), CAMERA, FILE)
+        with_lights(ImportedScene("a", (part(),), (lamp("spot"), lamp("directional"))), CAMERA, FILE)

@@ -39,10 +39,10 @@ def test_a_soup_of_triangles_falls_into_its_pieces_with_their_materials() -> Non
         np.testing.assert_allclose(piece.material, round(centre) / 1000, atol=1e-7)
 
 
-def test_crumbs_join_the_nearest_body_and_no_triangle_is_lost() -> None:
+def test_fragments_join_the_nearest_body_and_no_triangle_is_lost() -> None:
     bodies = [ball((i, 0, 0), 0.3) for i in range(MAX_OBJECTS)]
-    crumbs = [ball((i, 0.5, 0), 0.01) for i in range(0, MAX_OBJECTS, 2)]
-    pieces = list(components(together(bodies + crumbs)))
+    fragments = [ball((i, 0.5, 0), 0.01) for i in range(0, MAX_OBJECTS, 2)]
+    pieces = list(components(together(bodies + fragments)))
     assert len(pieces) == MAX_OBJECTS
     for piece in pieces:
         index = round(piece.vertices[:, 0].mean())
@@ -53,7 +53,7 @@ def test_crumbs_join_the_nearest_body_and_no_triangle_is_lost() -> None:
 def test_parts_beyond_the_most_are_joined_and_lights_never_to_surfaces() -> None:
     parts = [ball((i, 0, 0), 0.1 + 0.01 * (i >= 10), f"b{i}") for i in range(MAX_OBJECTS + 10)]
     parts += [ball((0, 0, 1), 0.01, "lamp", emission=9.0)]
-    with pytest.warns(UserWarning, match=r"a\.ply: 81 parts became 71 objects, small ones joined to others"):
+    with pytest.warns(UserWarning, match=r"a\.ply: 81 parts became 71 objects: small ones were joined to others"):
         kept = merged(parts, FILE)
     assert sum(map(len, kept)) == sum(map(len, parts))
     assert [part.name for part in kept if part.is_light] == ["lamp"]

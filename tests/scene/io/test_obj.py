@@ -121,10 +121,11 @@ def test_what_is_transparent_becomes_opaque_or_is_left_out_or_refused(mtl: str, 
     path.write_text("mtllib two.mtl\n" + SQUARE + "o it\nusemtl pane\nf 1 2 3\nusemtl frame\nf 1 3 4\n")
     lamps = 3  # are added
     with pytest.warns(
-        UserWarning, match=r"window.obj: material 'pane' \(d, Tr, map_d or illum\): light cannot pass .*opaque"
+        UserWarning,
+        match=r"window.obj: material 'pane' \(d, Tr, map_d or illum\): transparent surfaces are not .*opaque",
     ):
         assert len(load_scene(path).objects) == 2 + lamps
-    with pytest.warns(UserWarning, match="so it is left out"):
+    with pytest.warns(UserWarning, match="so it is omitted"):
         names = [item.name for item in load_scene(path, transparent="drop").objects]
     assert len(names) == 1 + lamps and "it frame" in names
     with pytest.raises(
@@ -145,11 +146,11 @@ REFUSED = {
     "a bad coordinate index": ("f 1/9 2/9 3/9\n", "", "a face refers to texture coordinate 9 of 4"),
     "a word": ("v 1 2 x\n", "", r"line 11: 'v 1 2 x' cannot be read"),
     "two numbers": ("v 1 2\n", "", "line 11: 3 numbers were expected"),
-    "NaN in a vertex": ("v nan 0 0\nf 5 2 3\n", "", "a vertex is NaN or beyond every number"),
-    "an absurd vertex": ("v 1e300 0 0\nf 5 2 3\n", "", "a vertex is NaN or beyond every number"),
+    "NaN in a vertex": ("v nan 0 0\nf 5 2 3\n", "", "a vertex is NaN, infinite or too large"),
+    "an absurd vertex": ("v 1e300 0 0\nf 5 2 3\n", "", "a vertex is NaN, infinite or too large"),
     "digits": ("f 1 2 " + "9" * 5000 + "\n", "", "line 11: .*cannot be read"),
     "an unknown material": ("usemtl other\nf 1 2 3\n", "", "material 'other' is in none of its MTL files"),
-    "no faces": ("", "", "no surface that a camera can see"),
+    "no faces": ("", "", "no visible surface"),
     "materials elsewhere": ("mtllib ../x.mtl\n", "", "line 11: '../x.mtl' leads out of the file's folder"),
     "missing materials": ("mtllib gone.mtl\n", "", "line 11: .*gone.mtl: cannot be read"),
 }  # fmt: skip

@@ -119,7 +119,7 @@ REFUSED = {
     "nothing.stl": (b"solid\nendsolid\n", "holds no triangles"),
     "word.stl": (b"solid\nvertex 0 0 zero\n", "line 2: 'vertex 0 0 zero' is no vertex"),
     "cut_text.stl": (b"solid\nvertex 0 0 0\n", "ends within a triangle"),
-    "inf.stl": (b"solid\n" + b"vertex 0 0 0\nvertex 1 0 0\nvertex 0 inf 0\n", "a vertex is NaN or beyond"),
+    "inf.stl": (b"solid\n" + b"vertex 0 0 0\nvertex 1 0 0\nvertex 0 inf 0\n", "a vertex is NaN, infinite or too large"),
 }  # fmt: skip
 
 

@@ -148,7 +148,7 @@ BAD_SCENES = {
     "nested": ("[" * 100_000, r"nested too deeply"),
     "nested objects": ('{"a":' * 100_000, r"nested too deeply"),
     "digits": ('{"version": ' + "1" * 10_000 + "}", r"thousands of digits"),
-    "URL": (at(*BALL, "mesh_path", value="http://x.org/ball.obj"), r"is no path of a file"),
+    "URL": (at(*BALL, "mesh_path", value="http://x.org/ball.obj"), r"is not a file path"),
     "line in a name": (at("objects", "a\nb", value={}), r"object 'a b': the name 'a b' has characters that cannot"),
     "half a character": (at("scene_name", value="\ud800"), r"the name ' ' has characters that cannot be printed"),
 }

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rfpp.errors import SceneError
-from rfpp.scene.sampling.interval import Interval, freeze_intervals, uniform, uniform_integer
+from rfpp.scene.sampling.interval import Interval, freeze_intervals, uniform_integer
 
 
 @dataclass(frozen=True)
@@ -27,18 +27,10 @@ def test_any_sequence_becomes_a_tuple_and_other_fields_stay():
 
 @pytest.mark.parametrize("bad", [[2, 1], [1], [1, 2, 3], [float("nan"), 1]])
 def test_a_wrong_interval_is_named(bad):
-    with pytest.raises(SceneError, match=r"Sampler\.size: .* is no interval"):
+    with pytest.raises(SceneError, match=r"Sampler\.size: .* is not an interval"):
         Sampler(bad)
 
 
 def test_integers_include_both_ends():
     rng = np.random.default_rng(0)
     assert {uniform_integer(rng, (3, 5)) for _ in range(100)} == {3, 4, 5}
-
-
-def test_uniform_covers_its_interval():
-    draws = uniform(np.random.default_rng(0), (-2, 6), 4000)
-    assert draws.min() > -2
-    assert draws.max() < 6
-    assert draws.mean() == pytest.approx(2, abs=0.15)
-    assert draws.std() == pytest.approx(8 / 12**0.5, abs=0.1)

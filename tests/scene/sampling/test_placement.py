@@ -13,7 +13,8 @@ from rfpp.scene.sampling.objects.procedural import ProceduralObjects
 from rfpp.scene.sampling.open_region import OpenRegion
 from rfpp.scene.sampling.placement import UprightPlacement
 from rfpp.scene.sampling.sizes import UniformRadius
-from rfpp.scene.triangles import SceneTriangles, rotation_matrix
+from rfpp.scene.spec import rotation_matrix
+from rfpp.scene.triangles import SceneTriangles
 
 PLACEMENT = family("quickstart").placement
 PEBBLE = ProceduralObjects(["pebble"], pool=100, held_out=0.1, stretched=0.5, deformed=0.0).mesh(0, 50)

@@ -3,7 +3,7 @@ import pytest
 from scene_families import family
 from scipy.stats import kstest
 
-from rfpp.scene.sampling.sizes import SharedSpace, SizeSampler, UniformRadius
+from rfpp.scene.sampling.sizes import SharedSpace, UniformRadius
 
 
 @pytest.mark.parametrize("count", [3, 70])
@@ -36,8 +36,3 @@ def test_renderformers_radii_are_its_published_ones_whatever_the_number_of_objec
     rng = np.random.default_rng(0)
     radii = np.concatenate([sizes.sample(rng, 1 + i % 3) for i in range(1000)])
     assert kstest((radii - 0.2) / 0.25, "uniform").pvalue > 0.01
-
-
-@pytest.mark.parametrize("name", ["quickstart", "renderformer", "small_scale", "large_scale"])
-def test_every_family_has_a_sampler_of_sizes(name):
-    assert isinstance(family(name).placement.sizes, SizeSampler)

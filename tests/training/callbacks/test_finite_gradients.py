@@ -1,10 +1,9 @@
-"""Before a step that would ruin the weights, training stops and the batches of that step are written."""
+"""Training stops before a step that would ruin the weights, and names the scenes of that step."""
 
 import json
 
 import pytest
 import torch
-from safetensors import safe_open
 from trainers import RecordingModule, StillTrainer, batch_of
 
 from rfpp.training.callbacks.finite_gradients import FiniteGradients, NonFiniteGradientError
@@ -12,7 +11,7 @@ from rfpp.training.callbacks.finite_gradients import FiniteGradients, NonFiniteG
 
 @pytest.fixture
 def training(tmp_path):
-    """The callback, and a function that takes batches with their losses, then steps with this gradient."""
+    """A function that runs the callback on batches with their losses, then on a step with this gradient."""
     weight = torch.nn.Parameter(torch.ones(3))
     optimizer = torch.optim.SGD([weight], lr=0.1)
     callback, module = FiniteGradients(str(tmp_path / "bad")), RecordingModule()
@@ -34,17 +33,13 @@ def test_finite_gradients_pass_and_leave_nothing(training, tmp_path):
 
 
 @pytest.mark.parametrize("bad", [float("nan"), float("inf")])
-def test_the_batches_of_the_step_are_written_and_no_earlier_ones(training, tmp_path, bad):
+def test_scenes_and_losses_of_the_step_are_written_and_no_earlier_ones(training, tmp_path, bad):
     training(10, [1.0, 0.0, 0.0], (batch_of([9]), 1.0))
     batches = batch_of([4], [2, 3]), batch_of([5])
-    with pytest.raises(NonFiniteGradientError, match=r"step 12: the loss or its gradient is not finite.*/bad: look"):
+    with pytest.raises(NonFiniteGradientError, match=r"step 12: the loss or its gradient is not finite.*rank0\.json"):
         training(11, [1.0, bad, 0.0], (batches[0], 8.0), (batches[1], float("nan")))
-    files = sorted((tmp_path / "bad").iterdir())
-    assert [file.name for file in files] == [f"step-00000012-rank0-batch{i}.safetensors" for i in range(2)]
-    for file, batch, loss in zip(files, batches, ("8.0", "nan"), strict=True):
-        with safe_open(file, "pt") as stored:
-            about = stored.metadata()
-            assert torch.equal(stored.get_tensor("positions"), batch.positions)
-            assert torch.equal(stored.get_tensor("scenes"), batch.scenes.offsets)
-        assert tuple(json.loads(about["keys"])) == batch.keys
-        assert (about["loss"], about["step"], about["rank"]) == (loss, "12", "0")
+    (file,) = (tmp_path / "bad").iterdir()
+    assert file.name == "step-00000012-rank0.json"
+    assert json.loads(file.read_text()) == [
+        {"scenes": list(batches[0].keys), "loss": "8.0"}, {"scenes": list(batches[1].keys), "loss": "nan"}
+    ]  # fmt: skip

@@ -2,13 +2,12 @@
 
 import numpy as np
 import pytest
-import torch
 from networks import network
 from PIL import Image
 from trainers import RecordingModule, StillTrainer, batch_of
 
 from rfpp.training.callbacks.image_panels import ImagePanels, pictures
-from rfpp.training.tracking.local import LocalLogger
+from rfpp.training.tracking.run_logger import RunLogger
 
 
 @pytest.fixture(scope="module")
@@ -30,7 +29,7 @@ def test_a_row_has_reference_prediction_error_albedo_and_every_bounce(net):
 
 
 def test_sheets_have_a_row_for_each_of_the_first_scenes_and_are_logged(net, tmp_path):
-    logger = LocalLogger("run", tmp_path)
+    logger = RunLogger("run", tmp_path)
     trainer = StillTrainer(global_step=7, loggers=[logger])
     module, callback = RecordingModule(network=net), ImagePanels(str(tmp_path / "panels"), scenes=2)
     heights = []
@@ -47,13 +46,3 @@ def test_sheets_have_a_row_for_each_of_the_first_scenes_and_are_logged(net, tmp_
     assert {path.name for path in (tmp_path / "panels").iterdir()} == names
     journal = (tmp_path / "tracking" / "journal.jsonl").read_text()
     assert all(f"panels/{name}" in journal for name in names)
-
-
-def test_a_trial_run_writes_none(net, tmp_path):
-    trainer = StillTrainer(fast_dev_run=True)
-    module, callback = RecordingModule(network=net), ImagePanels(str(tmp_path / "panels"), scenes=1)
-    callback.on_validation_start(trainer, module)
-    batch = batch_for(net, [6, 3])
-    callback.on_validation_batch_end(trainer, module, {"radiance": torch.zeros_like(batch.image)}, batch, 0)
-    callback.on_validation_end(trainer, module)
-    assert not (tmp_path / "panels").exists()

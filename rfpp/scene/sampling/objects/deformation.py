@@ -1,7 +1,7 @@
 """Global deformations of solids (Barr 1984): twist, taper and bend about the z axis.
 
-Each is a map of space that is one-to-one on the solid's bounding box, so that a closed solid stays closed, keeps its
-outside outside and does not pass through itself.
+Each is one-to-one on the solid's bounding box, so that a closed solid stays closed, keeps its orientation and does not
+intersect itself.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ Points = Float[np.ndarray, "points 3"]
 #: Draws a map of the box [-half, half] (half [3]) to space.
 Deformation = Callable[[Rng, np.ndarray], Callable[[Points], Points]]
 
-#: A mesh with this share of the faces that it is going to have can follow a deformation as it is.
+#: Meshes with at least this share of the target faces are deformed without refinement.
 _FINE = 0.8
 
 
 def twist(rng: Rng, half: np.ndarray) -> Callable[[Points], Points]:
-    """Rotation about the z axis that grows with z, by 30 to 100 degrees in all, either way."""
+    """Draw a rotation about z that grows with z, by 30 to 100 degrees in total, in either direction."""
     rate = np.radians(rng.uniform(30, 100)) * rng.choice([-1.0, 1.0]) / (2 * half[2])
 
     def twisted(points: Points) -> Points:
@@ -38,7 +38,7 @@ def twist(rng: Rng, half: np.ndarray) -> Callable[[Points], Points]:
 
 
 def taper(rng: Rng, half: np.ndarray) -> Callable[[Points], Points]:
-    """Scaling across the z axis that falls along it from 1 to between 0.25 and 0.7."""
+    """Draw a scaling across z that decreases along z from 1 to between 0.25 and 0.7."""
     slope = 1 - rng.uniform(0.25, 0.7)
 
     def tapered(points: Points) -> Points:
@@ -49,8 +49,8 @@ def taper(rng: Rng, half: np.ndarray) -> Callable[[Points], Points]:
 
 
 def bend(rng: Rng, half: np.ndarray) -> Callable[[Points], Points]:
-    """The z axis bent to an arc about the y axis, by 40 to 130 degrees or as far as the solid's width allows."""
-    # The arc's centre must lie outside the solid: radius = length / angle > half the width.
+    """Draw a bend of the z axis to an arc about y, by 40 to 130 degrees or as far as the solid's width allows."""
+    # the arc's centre must lie outside the solid: radius = length / angle > half the width
     angle = min(rng.uniform(np.radians(40), np.radians(130)), 0.8 * 2 * half[2] / half[0])
     radius = 2 * half[2] / angle
 
@@ -62,15 +62,15 @@ def bend(rng: Rng, half: np.ndarray) -> Callable[[Points], Points]:
     return bent
 
 
-#: Every deformation by name.
+#: Deformations by name.
 DEFORMATIONS: dict[str, Deformation] = {deformation.__name__: deformation for deformation in (twist, taper, bend)}
 
 
 def deformed(rng: Rng, mesh: Mesh, target_faces: int) -> Mesh:
-    """The closed mesh under one random deformation along its longest side, ready to be reduced to `target_faces`."""
+    """Apply a random deformation along the longest side of a closed mesh, before decimation to `target_faces`."""
     deformation = list(DEFORMATIONS.values())[int(rng.integers(len(DEFORMATIONS)))]
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
-    # A cyclic change of axes is a rotation: it keeps the outside outside.
+    # a cyclic permutation of axes is a rotation, so the orientation is kept
     order = np.roll(np.arange(3), 2 - int(np.argmax(high - low)))
     centred = Mesh((mesh.vertices - (low + high) / 2)[:, order], mesh.faces)
     fine = centred if len(mesh) >= _FINE * target_faces else _with_short_edges(centred, target_faces)
@@ -78,6 +78,6 @@ def deformed(rng: Rng, mesh: Mesh, target_faces: int) -> Mesh:
 
 
 def _with_short_edges(mesh: Mesh, faces: int) -> Mesh:
-    """The same surface without edges longer than those of as many equilateral triangles: flat sides can curve."""
+    """Refine a surface to edges no longer than those of `faces` equilateral triangles, so that flat sides can curve."""
     solid = to_manifold(mesh)
     return from_manifold(solid.refine_to_length(math.sqrt(4 / math.sqrt(3) * solid.surface_area() / faces)))

@@ -9,15 +9,15 @@ from typing import Any
 
 from rfpp.errors import SceneError
 from rfpp.scene.io.mesh_files import MESH_SUFFIXES
-from rfpp.scene.sampling.objects.prepared import Original, PreparedObjects
+from rfpp.scene.sampling.objects.library_objects import LibraryObjects, Original
 
 
 @dataclass(frozen=True)
-class FolderObjects(PreparedObjects):
-    """Every OBJ, PLY, STL, glTF or GLB file in a folder or below it is one object, called by its path there.
+class FolderObjects(LibraryObjects):
+    """Every OBJ, PLY, STL, glTF or GLB file in a folder tree is one object, named by its relative path.
 
     Attributes:
-        folder: of the files; after preparation it is not needed any more. Its name is the library's.
+        folder: of the files; needed only for preparation. Its name is the library's name.
     """
 
     folder: str | None
@@ -36,17 +36,17 @@ class FolderObjects(PreparedObjects):
         return Path(self.folder).expanduser().absolute()
 
     def originals(self) -> list[Original]:
-        """Files are told apart from changed ones by size and time."""
+        """Return the files; a changed file is recognised by size and time."""
         if not self._path.is_dir():
             raise SceneError(f"{self._path}: there is no such folder: correct family.objects.folder")
         files = sorted(p for p in self._path.rglob("*") if p.suffix.lower() in MESH_SUFFIXES and p.is_file())
         if not files:
             raise SceneError(f"{self._path}: holds no mesh: give a folder of {', '.join(MESH_SUFFIXES)} files")
-        return [self._original(path) for path in files]
-
-    def _original(self, path: Path) -> Original:
-        status = path.stat()
-        return Original(path.relative_to(self._path).as_posix(), f"{status.st_size} {status.st_mtime_ns}")
+        stats = [path.stat() for path in files]
+        return [
+            Original(path.relative_to(self._path).as_posix(), f"{stat.st_size} {stat.st_mtime_ns}")
+            for path, stat in zip(files, stats, strict=True)
+        ]
 
     def fetched(self, originals: Iterable[Original]) -> Iterator[Original]:
         return (replace(original, path=self._path / original.id) for original in originals)
@@ -55,7 +55,7 @@ class FolderObjects(PreparedObjects):
         return {"folder": self.name}
 
     def is_prepared(self) -> bool:
-        """Also whether the folder, if it is here, holds the same files as when the library was made."""
+        """Whether the library exists and, if the folder does, holds the same files."""
         if not super().is_prepared():
             return False
         return not self._path.is_dir() or {original.id for original in self.originals()} == self.library().ids

@@ -24,35 +24,35 @@ from rfpp.scene.sampling.objects.library import (
     mesh_path,
     record_path,
 )
+from rfpp.scene.sampling.objects.library_objects import LibraryObjects, Original
 from rfpp.scene.sampling.objects.preparation import Preparation, RejectionError
-from rfpp.scene.sampling.objects.prepared import Original, PreparedObjects
 
-#: Yields (item, what the job returned or raised) in the order of the items, as `RenderFarm.map` does.
+#: Yields (item, what the job returned or raised), like `RenderFarm.map`.
 Map = Callable[[Callable[[Any], Any], Iterable[Any]], Iterator[tuple[Any, Any]]]
 
 
 class Record(StrictModel):
-    """What became of an original of this stamp under this preparation."""
+    """The outcome for an original with this stamp under this preparation."""
 
     stamp: str
     preparation: dict[str, Any]
     outcome: Prepared | Rejected
 
 
-def one_by_one(job: Callable[[Any], Any], items: Iterable[Any]) -> Iterator[tuple[Any, Any]]:
-    """The plain `Map`, in this process."""
-    return ((item, job(item)) for item in items)
+def prepare(source: LibraryObjects, map: Map, progress: Callable[[int, int], None]) -> Library:
+    """Build the library of a source, or its missing and changed objects.
 
-
-def prepare(source: PreparedObjects, map: Map, progress: Callable[[int, int], None]) -> Library:
-    """Make the source's library, or what is missing of it or has changed; `progress(done, total)` counts originals.
+    Args:
+        source: Source of the meshes.
+        map: Applies a job to items.
+        progress: Called with (finished originals, all originals).
 
     Raises:
-        UserError: the originals cannot be had, a file cannot be written, or fewer than two objects came out.
+        UserError: If originals cannot be fetched, a file cannot be written, or fewer than two objects result.
     """
     originals = source.originals()
     job = PrepareOriginal(source.library_root, source.preparation)
-    outcomes = {o.id: record.outcome for o in originals if (record := job.record(o)) is not None}
+    outcomes = {o.id: outcome for o in originals if (outcome := job.recorded(o)) is not None}
     missing = [o for o in originals if o.id not in outcomes]
     progress(len(outcomes), len(originals))
     for original, result in map(job, source.fetched(missing)):
@@ -66,23 +66,23 @@ def prepare(source: PreparedObjects, map: Map, progress: Callable[[int, int], No
 
 @dataclass(frozen=True)
 class PrepareOriginal:
-    """Prepares one original and writes down what became of it; picklable."""
+    """Prepares one original and records the outcome; picklable."""
 
     root: Path
     preparation: Preparation
 
     def __call__(self, original: Original) -> Prepared | Rejected:
-        """Returns what it has written. Raises UserError if that fails."""
+        """Return the recorded outcome. Raises UserError if it cannot be written."""
         outcome = self._outcome(original)
         record = Record(stamp=original.stamp, preparation=asdict(self.preparation), outcome=outcome)
         write_atomically(record_path(self.root, original.id), record.model_dump_json().encode())
         return outcome
 
-    def record(self, original: Original) -> Record | None:
-        """What was written, if it still holds and its mesh is there."""
+    def recorded(self, original: Original) -> Prepared | Rejected | None:
+        """Return the recorded outcome if it is still valid and its mesh exists."""
         try:
-            record = Record(**json.loads(record_path(self.root, original.id).read_bytes()))
-        except (OSError, ValueError, TypeError):  # none, or damaged
+            record = Record.model_validate_json(record_path(self.root, original.id).read_bytes())
+        except (OSError, ValueError):  # missing or damaged
             return None
         outcome = record.outcome
         if (record.stamp, record.preparation) != (original.stamp, asdict(self.preparation)):
@@ -91,7 +91,7 @@ class PrepareOriginal:
             path = mesh_path(self.root, original.id)
             if not path.is_file() or _sha256(path) != outcome.mesh_sha256:
                 return None
-        return record
+        return outcome
 
     def _outcome(self, original: Original) -> Prepared | Rejected:
         if original.path is None:
@@ -120,7 +120,7 @@ class PrepareOriginal:
 
 
 def _outcome(original: Original, result: Any) -> Prepared | Rejected:
-    """A job's result; one that took its process down is no record, so that it is tried again next time."""
+    """Return a job's result; a job that crashed its process is not recorded, so that it is retried next time."""
     if isinstance(result, UserError):
         raise result
     if isinstance(result, Exception):
@@ -129,8 +129,8 @@ def _outcome(original: Original, result: Any) -> Prepared | Rejected:
     return result
 
 
-def _index(source: PreparedObjects, outcomes: list[Prepared | Rejected]) -> Index:
-    """The library's index: equal meshes once, and every object in its part."""
+def _index(source: LibraryObjects, outcomes: list[Prepared | Rejected]) -> Index:
+    """Return the library's index, in which equal meshes occur once."""
     first: dict[str, str] = {}
     prepared: list[Prepared] = []
     rejected: list[Rejected] = []
@@ -147,16 +147,16 @@ def _index(source: PreparedObjects, outcomes: list[Prepared | Rejected]) -> Inde
         why = ", ".join(f"{count} {reason}" for reason, count in reasons.most_common()) or "none"
         raise SceneError(
             f"{source.library_root}: {len(prepared)} of {len(outcomes)} meshes became objects (rejected: {why}), and "
-            "two are needed, one for training and one for test scenes: bring more or change family.objects.preparation"
+            "two are needed, one for training and one for test scenes: add meshes or change family.objects.preparation"
         )
     held_out = _held_out([item.id for item in prepared], source.held_out)
-    parts = {True: "held_out", False: "train"}
-    objects = [LibraryObject(**item.model_dump(), part=parts[item.id in held_out]) for item in prepared]
-    counts = dict(Counter(item.part for item in objects)) | {reason: reasons[reason] for reason in sorted(reasons)}
+    objects = [
+        LibraryObject(**item.model_dump(), part="held_out" if item.id in held_out else "train") for item in prepared
+    ]
     return Index(
         version=1,
         settings=source.settings(),
-        counts=counts,
+        counts=dict(Counter(item.part for item in objects)) | dict(sorted(reasons.items())),
         objects=tuple(objects),
         rejected=tuple(rejected),
         attribution=source.attribution(),
@@ -164,9 +164,9 @@ def _index(source: PreparedObjects, outcomes: list[Prepared | Rejected]) -> Inde
 
 
 def _held_out(ids: list[str], share: float) -> set[str]:
-    """The ids whose hash, as a number in [0, 1), is below `share`, whatever other ids there are.
+    """Return the ids whose hash, as a number in [0, 1), is below `share`, independently of the other ids.
 
-    Only that the lowest is always held out and the highest never, so that each part has an object.
+    The lowest id is always held out and the highest never, so that both parts have an object.
     """
     numbers = {i: int.from_bytes(hashlib.sha256(i.encode()).digest()[:8], "big") / 2**64 for i in ids}
     ordered = sorted(ids, key=numbers.__getitem__)

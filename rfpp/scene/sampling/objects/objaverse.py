@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import io
-import json
 import re
 import urllib.error
 import warnings
@@ -18,19 +17,18 @@ from types import ModuleType
 from typing import Any
 
 from rfpp.errors import MissingDependencyError, SceneError, UserError
-from rfpp.scene.sampling.objects.prepared import Original, PreparedObjects
+from rfpp.scene.sampling.objects.library_objects import LibraryObjects, Original
 
-#: The package reads its table of all objects once per call, which takes a second: so many uids at a time.
+#: The package reads its table of all objects once per call, which takes a second.
 _UIDS_PER_DOWNLOAD = 100
-_UID = re.compile(r"[0-9a-f]{32}")
 
 
 @dataclass(frozen=True)
-class ObjaverseObjects(PreparedObjects):
-    """Objects that a list of Objaverse uids names; the `objaverse` package downloads them, to its own cache.
+class ObjaverseObjects(LibraryObjects):
+    """The objects of a list of Objaverse uids; the `objaverse` package downloads them to its own cache.
 
     Attributes:
-        uids: a text file with one uid a line (# begins a comment), or a JSON list. Its stem is the library's name.
+        uids: a text file with one uid per line (# begins a comment), or a JSON list. Its stem names the library.
     """
 
     uids: str | None
@@ -45,7 +43,7 @@ class ObjaverseObjects(PreparedObjects):
         return f"objaverse-{Path(self.uids).stem}"
 
     def originals(self) -> list[Original]:
-        """What a uid names never changes."""
+        """Return the listed objects, which never change."""
         return [Original(uid, stamp="objaverse 1.0") for uid in self._listed()]
 
     def origin(self) -> dict[str, Any]:
@@ -60,54 +58,41 @@ class ObjaverseObjects(PreparedObjects):
                 yield replace(original, path=None if path is None else Path(path))
 
     def _listed(self) -> list[str]:
-        """The uids in the file, in order and each once."""
+        """Return the uids in the file, sorted and without repetitions."""
         path = Path(self.uids).expanduser().absolute()
         try:
             return _listed(path, path.stat().st_mtime_ns)
-        except OSError as error:
-            raise SceneError(f"{path}: cannot be read ({error.strerror}): give a file of Objaverse uids") from None
+        except (OSError, UnicodeDecodeError) as error:
+            reason = getattr(error, "strerror", None) or "not UTF-8 text"
+            raise SceneError(f"{path}: cannot be read ({reason}): give a file of Objaverse uids") from None
 
 
-@lru_cache(maxsize=4)  # every scene asks whether the library is that of this list
-def _listed(path: Path, _changed: int) -> list[str]:
-    try:
-        uids = _parsed(path, path.read_text(encoding="utf-8"))
-    except UnicodeDecodeError:
-        raise SceneError(f"{path}: is not UTF-8 text: give a file of Objaverse uids") from None
-    if wrong := [uid for uid in uids if not (isinstance(uid, str) and _UID.fullmatch(uid))]:
-        raise SceneError(f"{path}: '{wrong[0]}' is no Objaverse uid: write 32 hexadecimal digits")
+@lru_cache(maxsize=4)  # every scene compares the library's settings with this list
+def _listed(path: Path, _modified: int) -> list[str]:
+    lines = [line.split("#")[0] for line in path.read_text(encoding="utf-8").splitlines()]
+    uids = re.findall(r'[^\s,"\[\]]+', "\n".join(lines))
+    if wrong := [uid for uid in uids if not re.fullmatch(r"[0-9a-f]{32}", uid)]:
+        raise SceneError(f"{path}: '{wrong[0]}' is not an Objaverse uid: write 32 hexadecimal digits")
     if not uids:
-        raise SceneError(f"{path}: names no uid: write one a line, or a JSON list")
+        raise SceneError(f"{path}: names no uid: write one per line, or a JSON list")
     return sorted(set(uids))
 
 
-def _parsed(path: Path, text: str) -> list[Any]:
-    if path.suffix.lower() != ".json":
-        return [uid for line in text.splitlines() if (uid := line.split("#")[0].strip())]
-    try:
-        uids = json.loads(text)
-    except json.JSONDecodeError as error:
-        raise SceneError(f"{path}: line {error.lineno}: malformed JSON, {error.msg}: correct it") from None
-    if not isinstance(uids, list):
-        raise SceneError(f"{path}: is no JSON list: write a list of uids")
-    return uids
-
-
 def _downloaded(uids: list[str]) -> dict[str, str]:
-    """The local file of each uid, without those that Objaverse does not have.
+    """Download objects; return the local file of each available one.
 
     Raises:
-        MissingDependencyError: the package is not installed.
-        UserError: the network failed.
+        MissingDependencyError: If the package is not installed.
+        UserError: If the network fails.
     """
     package = _package()
-    # The package prints a line per file and warns of every uid that it does not know.
+    # the package prints a line per file and warns of every unknown uid
     with contextlib.redirect_stdout(io.StringIO()), warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
             return package.load_objects(uids)
         except urllib.error.HTTPError as error:
-            if len(uids) == 1 and error.code in (403, 404, 410):  # taken down by its author
+            if len(uids) == 1 and error.code in (403, 404, 410):  # removed by its author
                 return {}
             if len(uids) == 1:
                 raise _network_failure(error) from None
@@ -118,7 +103,7 @@ def _downloaded(uids: list[str]) -> dict[str, str]:
 
 def _network_failure(error: Exception) -> UserError:
     reason = getattr(error, "reason", None) or error
-    return UserError(f"Objaverse cannot be downloaded ({reason}): connect and run the same command again to go on")
+    return UserError(f"Objaverse cannot be downloaded ({reason}): connect and run the same command again to resume")
 
 
 def _package() -> ModuleType:
@@ -126,6 +111,6 @@ def _package() -> ModuleType:
         import objaverse
     except ImportError:
         raise MissingDependencyError(
-            "the package objaverse, which downloads the objects, is missing: pip install -e '.[objaverse]'"
+            "downloading Objaverse objects needs the package objaverse: pip install -e '.[objaverse]'"
         ) from None
     return objaverse

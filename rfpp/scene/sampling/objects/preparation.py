@@ -1,25 +1,36 @@
-"""Prepare one imported mesh: clean up, check and decimate it, or reject it with a reason."""
+"""Prepare an imported mesh: clean up, check, split by material and decimate it, or reject it with a reason."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, TypeVar
+from typing import Literal
 
 import numpy as np
 import trimesh
+from scipy.spatial import cKDTree
 
 from rfpp.errors import SceneError
-from rfpp.scene.io.mesh_files import load_mesh
-from rfpp.scene.mesh import Mesh, decimated, normalized, welded, without_degenerate_faces
+from rfpp.scene.io.imported_scene import z_up
+from rfpp.scene.io.mesh_files import load_material_groups, load_mesh
+from rfpp.scene.mesh import (
+    Mesh,
+    decimated,
+    joined,
+    normalized_together,
+    triangle_areas,
+    welded,
+    without_degenerate_faces,
+)
 from rfpp.scene.sampling.objects.refinement import is_closed
 from rfpp.scene.sampling.objects.solid import closed_decimation, volume
 
-#: An object thinner than this share of its longest side, or that fills less of its box, has nothing inside.
+#: An object thinner than this share of its longest side, or that fills less of its box, is flat.
 _FLAT = 1e-3
-
-T = TypeVar("T")
+#: Smaller parts, as a share of the object's area, join the nearest part.
+_MIN_AREA = 0.02
+_MIN_FACES = 12
 
 Reason = Literal[
     "unreadable",
@@ -35,11 +46,11 @@ Reason = Literal[
 
 
 class RejectionError(Exception):
-    """A mesh that is no object for scenes.
+    """A mesh that cannot be an object of a scene.
 
     Attributes:
-        reason: to be counted.
-        detail: what exactly, for people.
+        reason: category, to be counted.
+        detail: description.
     """
 
     def __init__(self, reason: Reason, detail: str) -> None:
@@ -50,11 +61,11 @@ class RejectionError(Exception):
 
 @dataclass(frozen=True, eq=False)
 class PreparedMesh:
-    """What became of a mesh.
+    """A prepared object.
 
     Attributes:
-        parts: together normalised, with at most the tier's number of faces, facing outwards where it is watertight.
-        faces_before: of the file.
+        parts: together normalised and with at most `max_faces` faces, facing outwards where watertight.
+        faces_before: number of faces in the file.
         watertight: every edge of the original touches two faces.
     """
 
@@ -65,34 +76,53 @@ class PreparedMesh:
 
 @dataclass(frozen=True)
 class Preparation:
-    """How meshes are prepared, and which ones are.
+    """Preparation of imported meshes.
 
     Attributes:
-        max_faces: the triangle tier; a mesh with more faces is decimated.
-        min_faces: a mesh with fewer faces after clean-up is rejected.
-        non_watertight: whether to "reject" or to "keep" meshes with holes, open edges or edges of three faces.
+        max_faces: meshes with more faces are decimated.
+        min_faces: meshes with fewer faces after clean-up are rejected.
+        non_watertight: "reject" or "keep" meshes with holes, open edges or edges of three faces.
+        most_parts: maximum number of parts of an object; with more than one, an object is split by material, the
+            largest materials stay, and the others join the nearest of them.
+        up: up axis of the files, "y" or "z"; prepared objects stand on z.
     """
 
     max_faces: int
     min_faces: int
     non_watertight: str
+    most_parts: int
+    up: str
 
     def __post_init__(self) -> None:
         if not 1 <= self.min_faces <= self.max_faces:
-            raise SceneError(f"Preparation: {self.min_faces}…{self.max_faces} faces are no range: use 1 <= min <= max")
+            raise SceneError(f"Preparation: {self.min_faces}…{self.max_faces} faces: use 1 <= min_faces <= max_faces")
         if self.non_watertight not in ("reject", "keep"):
             raise SceneError(f"Preparation.non_watertight is '{self.non_watertight}': choose reject or keep")
+        if self.most_parts < 1:
+            raise SceneError(f"Preparation.most_parts is {self.most_parts}: use 1 or more")
+        if self.up not in ("y", "z"):
+            raise SceneError(f"Preparation.up is '{self.up}': choose y or z")
 
     def __call__(self, path: Path) -> PreparedMesh:
         """Prepare the mesh in a file. Raises RejectionError."""
-        original = readable(load_mesh, path)
-        mesh = cleaned(original)
-        self._require_body(mesh)
-        watertight = self._watertight(mesh)
-        reduced = self._to_tier(facing_outwards(mesh, watertight), watertight)
-        if watertight and volume(reduced) < _FLAT * np.prod(np.ptp(reduced.vertices, axis=0)):
-            raise RejectionError("flat", "it encloses next to no volume")
-        return PreparedMesh((normalized(reduced),), len(original), watertight)
+        try:
+            groups = load_material_groups(path) if self.most_parts > 1 else (load_mesh(path),)
+        except SceneError as error:
+            raise RejectionError("unreadable", str(error).removeprefix(f"{path}: ")) from None
+        solid = [mesh for group in groups if (mesh := cleaned(group)) is not None]
+        if not solid:
+            raise RejectionError("degenerate", "every triangle has zero area")
+        if self.up == "y":
+            solid = [Mesh(z_up(group.vertices), group.faces) for group in solid]
+        self._require_body(joined(solid))
+        watertight = all(map(is_closed, solid))
+        if not watertight and self.non_watertight == "reject":
+            raise RejectionError("not watertight", "some edge does not touch exactly two faces")
+        parts = normalized_together(self._parts(solid))
+        fills = volume(parts[0]) >= _FLAT * np.prod(np.ptp(parts[0].vertices, axis=0))
+        if self.most_parts == 1 and watertight and not fills:
+            raise RejectionError("flat", "its volume is close to zero")
+        return PreparedMesh(parts, sum(map(len, groups)), watertight)
 
     def _require_body(self, mesh: Mesh) -> None:
         if len(mesh) < self.min_faces:
@@ -101,41 +131,71 @@ class Preparation:
         if sides.min() < _FLAT * sides.max():
             raise RejectionError("flat", f"its sides are {' x '.join(f'{side:.3g}' for side in sides)}")
 
-    def _watertight(self, mesh: Mesh) -> bool:
-        watertight = is_closed(mesh)
-        if not watertight and self.non_watertight == "reject":
-            raise RejectionError("not watertight", "some edge does not touch exactly two faces")
-        return watertight
+    def _parts(self, groups: list[Mesh]) -> list[Mesh]:
+        """Return as many parts as `max_faces` allows: a part that cannot be decimated to its share joins another."""
+        for most in range(min(self.most_parts, len(groups)), 0, -1):
+            parts = _largest(groups, most)
+            counts = [len(part) for part in parts]
+            try:
+                shares = face_shares(counts, self.max_faces) if sum(counts) > self.max_faces else counts
+                return [self._reduced(part, share) for part, share in zip(parts, shares, strict=True)]
+            except SceneError as error:
+                problem = str(error)
+        raise RejectionError("cannot be decimated", problem)
 
-    def _to_tier(self, mesh: Mesh, watertight: bool) -> Mesh:
-        try:
-            return closed_decimation(mesh, self.max_faces) if watertight else decimated(mesh, self.max_faces)
-        except SceneError as error:
-            raise RejectionError("cannot be decimated", str(error)) from None
+    def _reduced(self, part: Mesh, faces: int) -> Mesh:
+        """Decimate a part, keeping it closed where possible."""
+        closed = is_closed(part)
+        part = facing_outwards(part, closed)
+        if closed and len(part) > faces:
+            try:
+                return closed_decimation(part, faces)
+            except SceneError:
+                if self.non_watertight == "reject":
+                    raise
+        return decimated(part, faces)
 
 
-def readable(reader: Callable[[Path], T], path: Path) -> T:
-    """What `reader` makes of a file. Raises RejectionError where it cannot."""
-    try:
-        return reader(path)
-    except SceneError as error:
-        raise RejectionError("unreadable", str(error).removeprefix(f"{path}: ")) from None
+def face_shares(counts: Sequence[int], total: int) -> list[int]:
+    """Divide at most `total` faces in proportion to `counts` into even numbers of at least 12.
+
+    Raises:
+        SceneError: If there are not enough faces.
+    """
+    if len(counts) == 1:
+        return [total]
+    remaining = total - _MIN_FACES * len(counts)
+    if remaining < 0:
+        raise SceneError(f"{total} faces are too few for {len(counts)} parts: give more")
+    return [_MIN_FACES + int(remaining * count / sum(counts)) // 2 * 2 for count in counts]
 
 
-def cleaned(mesh: Mesh) -> Mesh:
-    """Coinciding vertices made one, without faces of zero area or that repeat others."""
+def cleaned(mesh: Mesh) -> Mesh | None:
+    """Merge coincident vertices and remove duplicate and zero-area faces; return None if no face is left."""
     try:
         solid = without_degenerate_faces(welded(mesh))
-    except SceneError as error:
-        raise RejectionError("degenerate", str(error)) from None
+    except SceneError:
+        return None
     _, first = np.unique(np.sort(solid.faces, axis=1), axis=0, return_index=True)
     return Mesh(solid.vertices, solid.faces[np.sort(first)])
 
 
 def facing_outwards(mesh: Mesh, watertight: bool) -> Mesh:
-    """Neighbouring faces made to agree about the outside, which is turned out where there is an inside."""
+    """Orient neighbouring faces consistently, and outwards if the mesh is watertight."""
     surface = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
     if not surface.is_winding_consistent:
         trimesh.repair.fix_winding(surface)
         mesh = Mesh(mesh.vertices, surface.faces)
     return Mesh(mesh.vertices, mesh.faces[:, ::-1]) if watertight and volume(mesh) < 0 else mesh
+
+
+def _largest(groups: list[Mesh], most: int) -> list[Mesh]:
+    """Return the largest groups by area, each joined with the smaller ones nearest to it."""
+    areas = np.array([triangle_areas(group.vertices.astype(np.float64), group.faces).sum() for group in groups])
+    kept = [i for i in np.argsort(-areas, kind="stable")[:most] if areas[i] >= _MIN_AREA * areas.sum()]
+    trees = [cKDTree(groups[i].vertices) for i in kept]
+    members = [[groups[i]] for i in kept]
+    for i in sorted(set(range(len(groups))) - set(kept)):
+        distances = [tree.query(groups[i].vertices)[0].min() for tree in trees]
+        members[int(np.argmin(distances))].append(groups[i])
+    return [joined(together) for together in members]

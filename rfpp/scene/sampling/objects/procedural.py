@@ -16,7 +16,7 @@ from rfpp.scene.sampling.objects.smooth import metaballs, pebble, superellipsoid
 from rfpp.scene.sampling.objects.solid import Rng, Solid, from_manifold, is_solid, unit_sphere, with_face_count
 from rfpp.scene.sampling.objects.swept import extrusion, lathe, tube
 
-#: Every kind of solid by name, in the order in which documentation and tests list them.
+#: Kinds of solids by name, in documentation order.
 KINDS: dict[str, Solid] = {
     solid.__name__: solid
     for solid in (
@@ -34,24 +34,24 @@ KINDS: dict[str, Solid] = {
     )
 }
 
-#: Part of every object's seed, so that no object shares its random numbers with a scene.
+#: Part of every object's seed, distinct from scenes' seeds.
 _STREAM = 0x0B1EC7
-#: Solids drawn for one object before a sphere, which always works, takes their place.
+#: Solids drawn for one object before it becomes a sphere, which always succeeds.
 _ATTEMPTS = 8
-#: A solid fills more than this share of its bounding box: springs do, paper does not.
+#: Minimum share of its bounding box filled by a solid.
 _LEAST_FILL = 0.02
 
 
 @dataclass(frozen=True)
 class ProceduralObjects:
-    """`pool` closed solids, the last of which only test scenes show.
+    """`pool` closed solids, the last of which are held out for test scenes.
 
     Attributes:
         kinds: names from `KINDS`, equally frequent.
         pool: number of different objects.
-        held_out: share of them that is held out for test scenes.
-        stretched: probability of a solid to be scaled along the axes, so that no kind comes in one proportion only.
-        deformed: probability of a solid to be twisted, tapered or bent.
+        held_out: share held out for test scenes.
+        stretched: probability of scaling along the axes.
+        deformed: probability of a twist, taper or bend.
     """
 
     kinds: Sequence[str]
@@ -69,25 +69,25 @@ class ProceduralObjects:
         object.__setattr__(self, "kinds", tuple(self.kinds))
         if not 0 < self.training_objects < self.pool:
             raise SceneError(
-                f"ProceduralObjects: {self.held_out:g} of {self.pool} objects held out leaves none in one part: "
+                f"ProceduralObjects: {self.held_out:g} of {self.pool} objects held out leaves one part empty: "
                 "choose a share between 0 and 1 and a larger pool"
             )
 
     @property
     def training_objects(self) -> int:
-        """Objects 0 … training_objects - 1 are for training, the others for test scenes."""
+        """Number of training objects; the remaining ones are for test scenes."""
         return self.pool - round(self.pool * self.held_out)
 
     def sample(self, rng: Rng, target_faces: int, held_out: bool) -> tuple[Mesh, ...]:
-        """A random object of the pool, in one part, with the faces that `mesh` gives it."""
+        """Return a random object of the pool, in one part."""
         first, end = (self.training_objects, self.pool) if held_out else (0, self.training_objects)
         return (self.mesh(int(rng.integers(first, end)), target_faces),)
 
     def mesh(self, number: int, target_faces: int) -> Mesh:
-        """Object `number` with `target_faces` faces, or one below if that is odd: closed, facing outwards, normalised.
+        """Return object `number` with `target_faces` faces, or one less if that is odd: closed and normalised.
 
         Raises:
-            SceneError: `target_faces` is below 12.
+            SceneError: If `target_faces` is below 12.
         """
         if target_faces < 12:
             raise SceneError(f"{target_faces} triangles are too few for a procedural object: ask for 12 or more")
@@ -95,18 +95,16 @@ class ProceduralObjects:
             rng = np.random.default_rng([_STREAM, number, attempt])
             try:
                 mesh = normalized(with_face_count(self._solid(rng, target_faces), target_faces))
-            except SceneError:  # a rare solid cannot be reduced so far
+            except SceneError:  # a rare solid cannot be decimated that far
                 continue
             if len(mesh) == target_faces - target_faces % 2 and is_solid(mesh, _LEAST_FILL):
                 return mesh
         return normalized(with_face_count(from_manifold(unit_sphere(target_faces)), target_faces))
 
     def account(self, configured: Mapping[str, Any]) -> dict[str, Any]:
-        """The configuration says it all."""
         return dict(configured)
 
     def libraries(self) -> tuple[()]:
-        """None."""
         return ()
 
     def _solid(self, rng: Rng, target_faces: int) -> Mesh:

@@ -1,4 +1,4 @@
-"""Refinement: more triangles on the same surface, by bisecting longest edges."""
+"""Refine meshes without changing the surface, by bisecting longest edges."""
 
 from __future__ import annotations
 
@@ -8,17 +8,16 @@ from rfpp.scene.mesh import Mesh
 
 
 def refined(mesh: Mesh, target_faces: int) -> Mesh:
-    """The same surface with `target_faces` faces, or one below it on a closed mesh.
+    """Refine a mesh to `target_faces` faces, or one less for a closed mesh; finer meshes are returned unchanged.
 
-    In every round those edges are bisected that are the longest edge of each face they touch (Rivara 1984), longest
-    first. Such edges share no face, so a round is vectorised; sharp features stay and slivers do not get worse.
-    A mesh that already has as many faces is returned as it is.
+    Each round bisects the edges that are the longest edge of every adjacent face (Rivara 1984), longest first. Such
+    edges share no face, so a round is vectorised; sharp features are kept and slivers do not get worse.
     """
     vertices, faces = mesh.vertices.astype(np.float64), mesh.faces.astype(np.int64)
     while True:
         edges, face_edges, touching = _edges(faces)
         terminal = _terminal_edges(vertices, edges, face_edges, touching)
-        # A split adds one face per face it touches: keep the longest edges whose sum fits.
+        # a split adds one face per adjacent face: keep the longest edges whose sum fits
         terminal = terminal[np.cumsum(touching[terminal]) <= target_faces - len(faces)]
         if len(terminal) == 0:
             return Mesh(vertices, faces)
@@ -32,7 +31,7 @@ def is_closed(mesh: Mesh) -> bool:
 
 
 def _edges(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Unique edges [E, 2]; the edge opposite to each corner [F, 3]; the number of faces at each edge [E]."""
+    """Return unique edges [E, 2], the edge opposite to each corner [F, 3], and the number of faces per edge [E]."""
     ends = np.sort(faces[:, [[1, 2], [2, 0], [0, 1]]].reshape(-1, 2), axis=1)
     keys = ends[:, 0] * (faces.max() + 1) + ends[:, 1]
     _, first, inverse, touching = np.unique(keys, return_index=True, return_inverse=True, return_counts=True)
@@ -42,7 +41,7 @@ def _edges(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def _terminal_edges(
     vertices: np.ndarray, edges: np.ndarray, face_edges: np.ndarray, touching: np.ndarray
 ) -> np.ndarray:
-    """Edges that are the longest of every face they touch, longest first; ties are broken by the edge's number."""
+    """Return the edges that are the longest of every adjacent face, longest first, then by index."""
     lengths = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1)
     rank = np.empty(len(edges), dtype=np.int64)
     rank[np.lexsort((np.arange(len(edges)), lengths))] = np.arange(len(edges))
@@ -54,7 +53,7 @@ def _terminal_edges(
 def _bisected(
     vertices: np.ndarray, faces: np.ndarray, edges: np.ndarray, face_edges: np.ndarray, split: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices and faces after the given edges, no two of which share a face, are split at their middle."""
+    """Split the given edges, no two of which share a face, at their midpoints."""
     middle = np.full(len(edges), -1)
     middle[split] = len(vertices) + np.arange(len(split))
     new_vertices = vertices[edges[split]].mean(axis=1)

@@ -13,7 +13,7 @@ from rfpp.scene.sampling.objects.solid import Rng, from_manifold, grid_faces, un
 
 
 def superellipsoid(rng: Rng, faces: int) -> Mesh:
-    """Barr's superellipsoid: from rounded cubes over spheres and cylinders to octahedra."""
+    """Draw Barr's superellipsoid: from rounded cubes over spheres and cylinders to octahedra."""
     east_west, north_south = rng.uniform(0.3, 2.0, 2)
 
     def radius(d: np.ndarray) -> np.ndarray:
@@ -24,7 +24,7 @@ def superellipsoid(rng: Rng, faces: int) -> Mesh:
 
 
 def pebble(rng: Rng, faces: int) -> Mesh:
-    """A sphere displaced by a few plane waves: pebbles, potatoes, asteroids."""
+    """Draw a sphere displaced by a few plane waves."""
     waves = rng.integers(3, 9)
     frequency = rng.normal(size=(3, waves)) * rng.uniform(1.0, 2.5)
     phase = rng.uniform(0, 2 * np.pi, waves)
@@ -33,7 +33,7 @@ def pebble(rng: Rng, faces: int) -> Mesh:
 
 
 def supertoroid(rng: Rng, faces: int) -> Mesh:
-    """Barr's supertoroid: rings of round, square or diamond section."""
+    """Draw Barr's supertoroid: rings of round, square or diamond section."""
     tube, ring_exponent, tube_exponent = rng.uniform(0.2, 0.55), rng.uniform(0.4, 1.6), rng.uniform(0.4, 1.6)
     columns = max(3, round(math.sqrt(0.7 * faces / tube * 0.4)))
     rows = max(3, round(0.7 * faces / columns))
@@ -43,13 +43,13 @@ def supertoroid(rng: Rng, faces: int) -> Mesh:
     height = np.broadcast_to(tube * _signed_power(np.sin(v), tube_exponent), (columns, rows))
     x, y = (across * _signed_power(f(u), ring_exponent) for f in (np.cos, np.sin))
     index = np.arange(columns * rows).reshape(columns, rows)
-    # Around the ring, the tube's section runs clockwise.
+    # around the ring, the tube's section runs clockwise
     triangles = grid_faces(np.concatenate([index, index[:1]]))[:, ::-1]
     return Mesh(np.stack([x, y, height], axis=-1).reshape(-1, 3), triangles)
 
 
 def metaballs(rng: Rng, faces: int) -> Mesh:
-    """Three to seven blobs melted together (Blinn 1982), by marching cubes."""
+    """Draw three to seven blended blobs (Blinn 1982), by marching cubes."""
     resolution = int(np.clip(math.sqrt(faces), 12, 28))
     count = int(rng.integers(3, 8))
     centres, radii = rng.uniform(-0.5, 0.5, (count, 3)), rng.uniform(0.2, 0.45, count)
@@ -63,7 +63,7 @@ def metaballs(rng: Rng, faces: int) -> Mesh:
 
 
 def _radial(faces: int, radius: Callable[[np.ndarray], np.ndarray]) -> Mesh:
-    """The star-shaped solid whose surface lies at distance radius(direction [V, 3]) [V] from the origin."""
+    """Return the star-shaped solid with surface distance radius(direction [V, 3]) [V] from the origin."""
     sphere = from_manifold(unit_sphere(faces))
     directions = sphere.vertices / np.linalg.norm(sphere.vertices, axis=1, keepdims=True)
     return Mesh(directions * radius(directions)[:, None], sphere.faces)

@@ -1,4 +1,4 @@
-"""Smooth space curves that tubes follow."""
+"""Smooth space curves of tubes."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Curve:
     closed: bool
 
     def tangents(self) -> np.ndarray:
-        """[S, 3] unit tangents, by central differences."""
+        """Return unit tangents [S, 3], by central differences."""
         if self.closed:
             difference = np.roll(self.points, -1, axis=0) - np.roll(self.points, 1, axis=0)
         else:
@@ -31,9 +31,9 @@ class Curve:
         return difference / np.linalg.norm(difference, axis=1, keepdims=True)
 
     def frames(self, turns: int) -> tuple[np.ndarray, np.ndarray]:
-        """Unit normals and binormals [S, 3]: carried along without rotation about the tangent, then turned evenly.
+        """Return rotation-minimising unit normals and binormals [S, 3], with an additional even twist of `turns`.
 
-        A closed curve is turned so far that its ends meet, and by whole `turns` besides; an open one by `turns` alone.
+        A closed curve is also twisted so that its ends match.
         """
         tangents = self.tangents()
         normals = np.empty_like(tangents)
@@ -50,7 +50,7 @@ class Curve:
         return cosine * normals + sine * binormals, cosine * binormals - sine * normals
 
     def free_radius(self) -> float:
-        """How thick a tube may be: it neither folds where the curve bends nor touches another part of itself."""
+        """Return the maximum tube radius without folds at bends and contact between parts of the curve."""
         neighbours = self.points if self.closed else self.points[1:-1]
         before, after = (
             (np.roll(self.points, 1, axis=0), np.roll(self.points, -1, axis=0))
@@ -63,7 +63,7 @@ class Curve:
         return float(min(bend, 0.5 * self._nearest_pass(), 0.3 * np.ptp(self.points, axis=0).max()))
 
     def _nearest_pass(self) -> float:
-        """The least distance between parts of the curve that are farther apart along it than twice that."""
+        """Return the minimum distance between parts of the curve that are farther apart along it than twice that."""
         steps = np.linalg.norm(np.roll(self.points, -1, axis=0) - self.points, axis=1)
         position = np.concatenate([[0], np.cumsum(steps)[:-1]])
         along = np.abs(position[:, None] - position)
@@ -74,7 +74,7 @@ class Curve:
 
 
 def handle(rng: Rng, stations: int) -> Curve:
-    """A superelliptic arc: from half to nearly all of it, so that the ends stay apart."""
+    """Draw a superelliptic arc, open by design."""
     reach = rng.uniform(0.5, 0.8) * np.pi
     angle = np.linspace(-reach, reach, stations)
     exponent = rng.uniform(0.7, 1.0)
@@ -83,7 +83,7 @@ def handle(rng: Rng, stations: int) -> Curve:
 
 
 def ring(rng: Rng, stations: int) -> Curve:
-    """A closed curve that waves up and down and in and out."""
+    """Draw a closed wavy curve."""
     angle = np.arange(stations) * 2 * np.pi / stations
     waves = int(rng.integers(2, 2 + max(1, stations // 12)))
     radius = 1 + rng.uniform(0, 0.25) * np.cos(waves * angle + rng.uniform(0, 2 * np.pi))
@@ -92,14 +92,14 @@ def ring(rng: Rng, stations: int) -> Curve:
 
 
 def pipe(rng: Rng, stations: int) -> Curve:
-    """A spline through a few points that lead ever onwards: pipes, worms, horns."""
+    """Draw a spline through a few points advancing along x."""
     knots = int(rng.integers(3, 4 + min(3, stations // 8)))
     points = np.stack([np.arange(knots), *rng.uniform(-0.7, 0.7, (2, knots))], axis=1)
     return Curve(CubicSpline(np.arange(knots), points)(np.linspace(0, knots - 1, stations)), closed=False)
 
 
 def spring(rng: Rng, stations: int) -> Curve:
-    """A helix of at least eight points a turn, perhaps wider at one end."""
+    """Draw a helix of at least eight points per turn, possibly tapered."""
     turns = rng.uniform(1.2, max(1.6, min(5.0, stations / 9)))
     angle = np.linspace(0, 2 * np.pi * turns, stations)
     radius = np.linspace(1, rng.uniform(0.5, 1.0), stations)
@@ -110,7 +110,7 @@ def spring(rng: Rng, stations: int) -> Curve:
 
 
 def knot(rng: Rng, stations: int) -> Curve:
-    """A torus knot: a trefoil, or one of more crossings where there are points for it."""
+    """Draw a torus knot: a trefoil, or one with more crossings if there are enough points."""
     kinds = [(2, 3), (3, 2), *([(2, 5), (3, 4)] if stations >= 55 else [])]
     around, through = kinds[int(rng.integers(len(kinds)))]
     angle = np.arange(stations) * 2 * np.pi / stations

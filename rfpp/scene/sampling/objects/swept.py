@@ -1,4 +1,4 @@
-"""Solids of a profile that is turned about an axis or moved along a line: lathes, extrusions, tubes."""
+"""Solids of revolution, extrusions and tubes."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from rfpp.scene.sampling.objects.space_curves import Curve, handle, knot, pipe, 
 
 
 def lathe(rng: Rng, faces: int) -> Mesh:
-    """A smooth random profile turned about an axis: vases, bottles, chess pieces, spinning tops."""
+    """Draw a solid of revolution of a smooth random profile: vases, bottles, chess pieces."""
     rings = max(5, round(math.sqrt(faces) / 2))
     height = np.linspace(-1, 1, rings)
     knots = rng.uniform(0.15, 0.9, rng.integers(3, 7))
     profile = np.interp(height, np.linspace(-1, 1, len(knots)), knots)
-    if rng.random() < 0.7:  # otherwise the corners of the profile stay
+    if rng.random() < 0.7:  # otherwise the profile keeps its corners
         profile = np.convolve(np.pad(profile, 1, mode="edge"), [0.25, 0.5, 0.25], mode="valid")
     outline = np.concatenate([[[0, -1]], np.stack([profile, height], axis=1), [[0, 1]]])
     segments = max(3, min(48, round(faces / (2 * rings))))
@@ -26,21 +26,21 @@ def lathe(rng: Rng, faces: int) -> Mesh:
 
 
 def extrusion(rng: Rng, faces: int) -> Mesh:
-    """A star, polygon or gear section swept upwards with twist and taper: screws, columns, pyramids."""
+    """Draw a star, polygon or gear section extruded with twist and taper: screws, columns, pyramids."""
     points = int(rng.integers(3, 9))
     inner = rng.uniform(0.45, 1.0)
     angle = np.arange(2 * points) * np.pi / points
     reach = np.where(np.arange(2 * points) % 2, inner, 1.0)
     section = np.stack([reach * np.cos(angle), reach * np.sin(angle)], axis=1)
     twist = rng.uniform(-150, 150) if rng.random() < 0.6 else 0.0
-    layers = max(1, faces // (4 * points) - 1) if twist else 1  # the ends cost as much as a layer
+    layers = max(1, faces // (4 * points) - 1) if twist else 1  # the ends have as many faces as a layer
     top = rng.uniform(0.1, 1.0)
     solid = Manifold.extrude(CrossSection([section]), rng.uniform(0.8, 2.5), layers, twist, (top, top))
     return from_manifold(solid)
 
 
 def tube(rng: Rng, faces: int) -> Mesh:
-    """A round, square or flat profile moved along a smooth curve: springs, knots, handles, pipes, horns, rings."""
+    """Draw a round, square or flat profile swept along a smooth curve: springs, knots, handles, pipes, rings."""
     sides = int(np.clip(round(math.sqrt(faces) / 3.5), 4, 10))
     stations = max(5, round(faces / (2 * sides)))
     curve = _curve(rng, stations)
@@ -49,7 +49,7 @@ def tube(rng: Rng, faces: int) -> Mesh:
     profile = np.stack([np.cos(angle), flatness * np.sin(angle)], axis=1)
     width = rng.uniform(0.45, 0.85) * curve.free_radius()
     along = np.linspace(0, 1, stations)
-    # Ends may be thinner, as those of horns; a closed curve has none.
+    # open curves may taper, like horns
     widths = np.full(stations, width) if curve.closed else width * (1 - rng.uniform(0, 0.7) * along)
     normals, binormals = curve.frames(turns=int(rng.choice([0, 0, 0, 0, -1, 1])))
     offsets = profile[:, 0, None, None] * normals + profile[:, 1, None, None] * binormals  # [sides, S, 3]
@@ -64,6 +64,6 @@ def tube(rng: Rng, faces: int) -> Mesh:
 
 
 def _curve(rng: Rng, stations: int) -> Curve:
-    """A curve that so many points can follow."""
+    """Draw a curve that can be resolved with this number of stations."""
     curves = [handle, ring, pipe, *([spring] if stations >= 16 else []), *([knot] if stations >= 30 else [])]
     return curves[int(rng.integers(len(curves)))](rng, stations)

@@ -7,13 +7,13 @@ from collections import Counter
 import numpy as np
 import pytest
 import trimesh
-from mesh_folders import GOOD, bowl, fill, prepared, source
+from mesh_folders import GOOD, bowl, fill, one_by_one, prepared, source
 
 from rfpp.errors import SceneError, UserError
 from rfpp.scene.io.mesh_files import load_mesh
 from rfpp.scene.mesh import joined
 from rfpp.scene.sampling.objects.library import Library, mesh_path
-from rfpp.scene.sampling.objects.library_building import one_by_one, prepare
+from rfpp.scene.sampling.objects.library_building import prepare
 from rfpp.scene.sampling.objects.object_source import ObjectSource
 from rfpp.scene.sampling.objects.refinement import is_closed
 
@@ -29,7 +29,7 @@ def objects(folder, tmp_path):
 
 
 def counting(job, items):
-    """A `Map` that notes which originals it was given."""
+    """A `Map` that records its originals."""
     for item in items:
         counting.seen.append(item.id)
         yield item, job(item)
@@ -44,7 +44,7 @@ def files(root):
     return {path.relative_to(root): path.read_bytes() for path in sorted(root.rglob("*")) if path.is_file()}
 
 
-def test_every_file_of_the_tree_becomes_an_object(objects):
+def test_every_file_becomes_an_object(objects):
     library = run(objects)
     assert isinstance(objects, ObjectSource)
     assert sorted(item.id for item in library.index.objects) == sorted(GOOD)
@@ -62,7 +62,7 @@ def test_the_nodes_of_a_gltf_scene_place_its_meshes(folder):
     assert np.ptp(mesh.vertices, axis=0) == pytest.approx([3, 3, 2.2], abs=1e-5)
 
 
-def test_parts_are_apart_never_empty_and_those_of_the_ids(tmp_path):
+def test_held_out_objects_follow_from_their_ids(tmp_path):
     folder = tmp_path / "many"
     folder.mkdir()
     for i in range(60):
@@ -79,7 +79,7 @@ def test_parts_are_apart_never_empty_and_those_of_the_ids(tmp_path):
     assert len(extreme.part(True)) == 1
 
 
-def test_a_second_run_prepares_nothing_and_a_third_what_has_changed(objects, folder):
+def test_only_new_and_changed_files_are_prepared(objects, folder):
     first = run(objects)
     assert sorted(counting.seen) == sorted(GOOD)
     before = files(objects.library_root)
@@ -96,7 +96,7 @@ def test_a_second_run_prepares_nothing_and_a_third_what_has_changed(objects, fol
     assert "cone.OBJ" not in changed.ids
 
 
-def test_killed_at_any_time_it_goes_on_to_the_same_library(objects, tmp_path, folder):
+def test_an_interrupted_build_resumes_to_the_same_library(objects, tmp_path, folder):
     whole = run(source(folder, tmp_path / "whole"))
     for stop in range(len(GOOD)):
 
@@ -123,7 +123,7 @@ def test_results_in_any_order_give_the_same_library(objects, tmp_path, folder):
     assert run(objects, backwards).hash == run(source(folder, tmp_path / "other")).hash
 
 
-def test_damaged_records_and_meshes_are_made_again(objects):
+def test_damaged_records_and_meshes_are_rebuilt(objects):
     hash_before = run(objects).hash
     records = sorted((objects.library_root / "records").rglob("*.json"))
     records[0].write_text("{")
@@ -166,7 +166,7 @@ def test_rejections_are_listed_and_counted_by_reason(objects, folder):
     assert {"bowl.stl": False}.items() <= {item.id: item.watertight for item in kept.index.objects}.items()
 
 
-def test_progress_counts_what_was_there_before(objects):
+def test_progress_counts_existing_objects(objects):
     steps = []
     prepare(objects, one_by_one, lambda done, total: steps.append((done, total)))
     assert steps == [(i, 6) for i in range(7)]
@@ -175,7 +175,7 @@ def test_progress_counts_what_was_there_before(objects):
     assert steps == [(6, 6)]
 
 
-def test_objects_are_drawn_from_their_part_at_the_asked_face_count(objects):
+def test_objects_are_drawn_from_their_part_with_the_requested_faces(objects):
     library = run(objects)
     shapes = {}
     for held_out in (False, True):
@@ -192,7 +192,7 @@ def test_objects_are_drawn_from_their_part_at_the_asked_face_count(objects):
     assert shapes[False].isdisjoint(shapes[True])
 
 
-def test_a_library_serves_without_its_folder_and_in_other_processes(objects, folder):
+def test_a_library_works_without_its_folder_and_in_other_processes(objects, folder):
     run(objects)
     content, (mesh,) = objects.account({}), objects.sample(np.random.default_rng(0), 100, False)
     shutil.rmtree(folder)

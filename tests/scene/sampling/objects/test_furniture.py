@@ -7,13 +7,12 @@ import trimesh
 from mesh_folders import box, prepared, write_obj
 
 from rfpp.errors import SceneError
+from rfpp.scene.io.limits import read_member
 from rfpp.scene.mesh import joined
-from rfpp.scene.sampling.objects.archive import Furniture, read_member
-from rfpp.scene.sampling.objects.furniture import FurnitureObjects
+from rfpp.scene.sampling.objects.furniture import Catalogue, FurnitureObjects
 from rfpp.scene.sampling.objects.library import Library
-from rfpp.scene.sampling.objects.material_groups import MaterialGroups
-from rfpp.scene.sampling.objects.mixed import MixedObjects
-from rfpp.scene.sampling.objects.object_source import ObjectSource
+from rfpp.scene.sampling.objects.object_source import MixedObjects, ObjectSource
+from rfpp.scene.sampling.objects.preparation import Preparation
 from rfpp.scene.sampling.objects.procedural import ProceduralObjects
 
 CATALOGUE = """# a comment = of no use
@@ -47,7 +46,7 @@ def archive(tmp_path, name="Shop", catalogue=CATALOGUE):
 
 
 def source(tmp_path, files=("Shop",)):
-    preparation = MaterialGroups(max_faces=300, min_faces=4, non_watertight="keep", most_parts=4, up="y")
+    preparation = Preparation(max_faces=300, min_faces=4, non_watertight="keep", most_parts=4, up="y")
     return FurnitureObjects(
         root=str(tmp_path / "objects"), held_out=0.5, preparation=preparation, library_name="furniture",
         folder=str(tmp_path), files=files,
@@ -62,20 +61,20 @@ def test_the_models_of_a_catalogue_become_objects_in_parts(tmp_path):
     assert {item.id: item.parts for item in library.index.objects} == {"Shop/shop#table": 2, "Shop/shop#stool": 1}
     table = next(item for item in library.index.objects if item.parts == 2)
     top, leg = library.parts(table)
-    assert top.vertices[:, 2].mean() > leg.vertices[:, 2].mean()  # it stands on z
+    assert top.vertices[:, 2].mean() > leg.vertices[:, 2].mean()  # z is up
     assert len(library.parts(next(item for item in library.index.objects if item.parts == 1))) == 1
 
 
-def test_what_is_owed_to_whom_goes_into_the_library_and_the_data_set(tmp_path):
+def test_attribution_is_part_of_the_library_and_the_data_set(tmp_path):
     archive(tmp_path)
     objects = source(tmp_path)
     prepared(objects)
-    (tmp_path / "Shop.sh3f").unlink()  # the library stands alone
+    (tmp_path / "Shop.sh3f").unlink()  # the library does not need its archive
     assert objects.is_prepared()
-    owed = objects.account({})["attribution"]["Shop"]
-    assert owed["license"] == "CC-BY 3.0"
-    assert owed["name"] == "Shop of Pétanque"
-    assert owed["creators"] == ["Ann", "Bob"]
+    attribution = objects.account({})["attribution"]["Shop"]
+    assert attribution["license"] == "CC-BY 3.0"
+    assert attribution["name"] == "Shop of Pétanque"
+    assert attribution["creators"] == ["Ann", "Bob"]
     assert objects.account({})["library"] == Library.load(objects.library_root).hash
     json.dumps(objects.account({}))
 
@@ -107,12 +106,12 @@ def test_bad_archives_are_named(tmp_path):
     content = path.read_bytes()
     path.write_bytes(content[: len(content) // 2])
     with pytest.raises(SceneError, match=r"Shop\.sh3f: .* cannot be unpacked"):
-        Furniture.read(path)
+        Catalogue.read(path)
     with pytest.raises(SceneError, match="names no model"):
-        Furniture.read(archive(tmp_path, "Empty", "id=empty\n"))
+        Catalogue.read(archive(tmp_path, "Empty", "id=empty\n"))
 
 
-def test_a_model_that_its_archive_lacks_is_rejected_by_name(tmp_path):
+def test_a_missing_model_is_rejected_by_name(tmp_path):
     archive(tmp_path, catalogue=CATALOGUE + "id#3=shop#ghost\nmodel#3=/../../ghost.obj\n")
     library = prepared(source(tmp_path))
     (rejected,) = library.index.rejected

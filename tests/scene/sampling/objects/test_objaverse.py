@@ -19,7 +19,7 @@ LISTED = "\n".join(UIDS)
 
 
 class Objaverse(types.ModuleType):
-    """The package with a hub of its own: all uids but the last are known, the one before it was taken down."""
+    """Fake package: all uids but the last are known, and the one before it was removed."""
 
     def __init__(self, cache):
         super().__init__("objaverse")
@@ -51,11 +51,11 @@ def hub(tmp_path, monkeypatch):
 
 def source(tmp_path, text=LISTED, name="chairs.txt"):
     (tmp_path / name).write_text(text)
-    preparation = Preparation(max_faces=100, min_faces=4, non_watertight="reject")
+    preparation = Preparation(max_faces=100, min_faces=4, non_watertight="reject", most_parts=1, up="z")
     return ObjaverseObjects(str(tmp_path / "objects"), 0.3, preparation, str(tmp_path / name))
 
 
-def test_uids_become_a_library_and_those_that_are_gone_are_counted(tmp_path, hub, capsys):
+def test_unavailable_uids_are_counted(tmp_path, hub, capsys):
     objects = source(tmp_path)
     assert isinstance(objects, ObjectSource)
     library = prepared(objects)
@@ -63,12 +63,12 @@ def test_uids_become_a_library_and_those_that_are_gone_are_counted(tmp_path, hub
     assert [item.id for item in library.index.objects] == UIDS[:3]
     assert [(item.id, item.reason) for item in library.index.rejected] == [(uid, "not available") for uid in UIDS[3:]]
     assert library.index.counts["not available"] == 2
-    assert hub.calls[0] == UIDS  # together, and then one by one as one of them failed
+    assert hub.calls[0] == UIDS  # together, then one by one after a failure
     assert capsys.readouterr().out == ""
     assert len(objects.sample(np.random.default_rng(0), 60, held_out=True)[0]) == 60
 
 
-def test_what_is_prepared_is_not_downloaded_again_and_a_longer_list_adds_to_it(tmp_path, hub):
+def test_a_longer_list_downloads_only_new_uids(tmp_path, hub):
     prepared(source(tmp_path, "\n".join(UIDS[:2])))
     hub.calls.clear()
     objects = source(tmp_path, "\n".join(UIDS[:3]) + f"\n{UIDS[0]}  # twice\n\n# the end")
@@ -87,7 +87,7 @@ def test_a_json_list_is_the_same_list(tmp_path, hub):
     assert text.settings() == listed.settings()
 
 
-def test_without_a_network_one_line_says_so_and_nothing_is_lost(tmp_path, hub):
+def test_a_network_failure_is_one_line_and_loses_nothing(tmp_path, hub):
     prepared(source(tmp_path, "\n".join(UIDS[:2])))
     hub.connected = False
     objects = source(tmp_path)
@@ -99,7 +99,7 @@ def test_without_a_network_one_line_says_so_and_nothing_is_lost(tmp_path, hub):
     assert hub.calls[0] == UIDS[2:]
 
 
-def test_without_the_package_one_line_names_it(tmp_path, monkeypatch):
+def test_a_missing_package_is_named(tmp_path, monkeypatch):
     real = builtins.__import__
 
     def missing(name, *args, **kwargs):
@@ -116,11 +116,10 @@ def test_without_the_package_one_line_names_it(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("text", "name", "message"),
     [
-        ("chair", "uids.txt", "'chair' is no Objaverse uid"),
+        ("chair", "uids.txt", "'chair' is not an Objaverse uid"),
         ("# nothing", "uids.txt", "names no uid"),
-        ("[1]", "uids.json", "'1' is no Objaverse uid"),
-        ("{", "uids.json", "line 1: malformed JSON"),
-        ("{}", "uids.json", "no JSON list"),
+        ("[1]", "uids.json", "'1' is not an Objaverse uid"),
+        ("{}", "uids.json", "'{}' is not an Objaverse uid"),
     ],
 )
 def test_bad_lists_are_named(tmp_path, hub, text, name, message):

@@ -128,5 +128,5 @@ def test_wrong_requests_are_refused_by_name():
 
 @pytest.mark.parametrize("part", [{"held_out": 0.0}, {"held_out": 1.0}, {"pool": 2, "held_out": 0.1}])
 def test_each_part_has_at_least_one_object(part):
-    with pytest.raises(SceneError, match="leaves none in one part"):
+    with pytest.raises(SceneError, match="leaves one part empty"):
         replace(OBJECTS, **part)

@@ -1,0 +1,122 @@
+"""Log throughput, memory, skipped scenes and machine load."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Mapping
+
+import lightning as L
+import psutil
+import torch
+from torch import Tensor
+
+from rfpp.batch import RaggedBatch
+from rfpp.training.callbacks.machine_load import machine_load
+from rfpp.training.flops import matrix_product_rate, training_flops
+
+#: Data type of matrix products by the beginning of Lightning's precision; float32 otherwise.
+MATRIX_DTYPES = {"bf16": torch.bfloat16, "16-": torch.float16}
+#: Steps between two batches whose floating-point operations are counted, which takes a forward pass.
+COUNT_FLOPS_EVERY = 500
+GIB = 2**30
+
+
+class StepStatistics(L.Callback):
+    """Logs statistics of training, averaged over windows of steps without validation.
+
+    `throughput/`: steps, scenes, images, triangles and tokens (scene tokens and ray bundles) per second over all
+    devices, `data_wait_fraction`, and `flop_utilisation`: operations of the network's forward and backward passes, as
+    a fraction of those that the device achieves in large matrix products in the same precision. The LPIPS network does
+    not count, so its time lowers the fraction.
+    `memory/`: GiB. On a GPU `allocated`, and `peak` in the window, of PyTorch's allocator; else `resident` memory of
+    the process without its loaders.
+    `data/skipped`: scenes skipped since the run was started or resumed, over all devices.
+    `system/`: load of the first rank's machine, with MLflow's names.
+
+    Args:
+        every_n_steps: Length of a window.
+    """
+
+    def __init__(self, every_n_steps: int):
+        self.every_n_steps = every_n_steps
+
+    def on_train_start(self, trainer: L.Trainer, module: L.LightningModule) -> None:
+        dtype = next((t for name, t in MATRIX_DTYPES.items() if trainer.precision.startswith(name)), torch.float32)
+        self._peak_rate = matrix_product_rate(trainer.strategy.root_device, dtype)
+        self._counted_at = None
+        self._skipped = 0
+        machine_load()  # CPU utilization counts from here
+        self._begin_window()
+
+    def on_train_batch_start(self, trainer: L.Trainer, module: L.LightningModule, batch: RaggedBatch, _: int) -> None:
+        self._waited += time.perf_counter() - self._batch_end
+        if self._counted_at is None or trainer.global_step - self._counted_at >= COUNT_FLOPS_EVERY:
+            self._counted_at = trainer.global_step
+            begin = time.perf_counter()
+            with trainer.precision_plugin.forward_context():
+                self._flops = training_flops(module.network, batch)
+            self._begin += time.perf_counter() - begin  # not training time
+
+    def on_train_batch_end(
+        self,
+        trainer: L.Trainer,
+        module: L.LightningModule,
+        outputs: Mapping[str, Tensor],
+        batch: RaggedBatch,
+        batch_index: int,
+    ) -> None:
+        images = len(batch.scenes) * batch.num_views
+        height, width = batch.resolution
+        bundles = images * (height // module.network.patch_size) * (width // module.network.patch_size)
+        self._batches += 1
+        self._skipped += trainer.datamodule.scenes_per_batch - len(batch.keys)
+        self._counts.update(
+            scenes=len(batch.scenes),
+            images=images,
+            triangles=batch.objects.total,
+            tokens=int(outputs["tokens"]) + bundles,
+        )
+        steps = self._batches // trainer.accumulate_grad_batches
+        if steps == self.every_n_steps:
+            elapsed = time.perf_counter() - self._begin
+            rates = {f"throughput/{name}_per_s": trainer.world_size * n / elapsed for name, n in self._counts.items()}
+            values = {
+                "throughput/steps_per_s": steps / elapsed,
+                **rates,
+                "throughput/data_wait_fraction": self._waited / elapsed,
+                "throughput/flop_utilisation": self._flops * self._batches / elapsed / self._peak_rate,
+                **_memory(trainer.strategy.root_device),
+            }
+            module.log_dict(values, batch_size=1)
+            module.log("data/skipped", float(self._skipped), sync_dist=True, reduce_fx="sum", batch_size=1)
+            if trainer.is_global_zero:
+                load = {f"system/{name}": round(value, 1) for name, value in machine_load().items()}
+                for logger in trainer.loggers:
+                    logger.log_metrics(load, trainer.global_step - 1)  # Lightning counts steps from 0
+            self._begin_window()
+        self._batch_end = time.perf_counter()
+
+    def on_validation_start(self, trainer: L.Trainer, module: L.LightningModule) -> None:
+        self._validation_begin = time.perf_counter()
+
+    def on_validation_end(self, trainer: L.Trainer, module: L.LightningModule) -> None:
+        if not trainer.sanity_checking:
+            seconds = time.perf_counter() - self._validation_begin
+            self._begin, self._batch_end = self._begin + seconds, self._batch_end + seconds
+
+    def _begin_window(self) -> None:
+        self._begin = self._batch_end = time.perf_counter()
+        self._waited, self._batches, self._counts = 0.0, 0, Counter()
+
+
+def _memory(device: torch.device) -> dict[str, float]:
+    """Memory use in GiB; resets PyTorch's peak."""
+    if device.type != "cuda":
+        return {"memory/resident": psutil.Process().memory_info().rss / GIB}
+    used = {
+        "memory/allocated": torch.cuda.memory_allocated(device) / GIB,
+        "memory/peak": torch.cuda.max_memory_allocated(device) / GIB,
+    }
+    torch.cuda.reset_peak_memory_stats(device)
+    return used

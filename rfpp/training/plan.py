@@ -1,0 +1,114 @@
+"""Settings of Lightning's Trainer that follow from configuration, machine and checkpoint.
+
+They are decided here once, before the Trainer is built, and nothing changes them afterwards.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from omegaconf import OmegaConf
+
+from rfpp.errors import UserError
+from rfpp.model.layers.matrix_precision import matrix_dtype
+
+#: The precision setting that picks the fastest precision of the device.
+AUTO = "auto"
+#: Section of a run's config.yaml that holds its plan.
+PLAN_KEY = "plan"
+
+
+@dataclass(frozen=True)
+class TrainingPlan:
+    """Derived settings of a training run.
+
+    Attributes:
+        ranks: Processes of the run, one per device, over all nodes.
+        precision: Lightning's name of the precision, e.g. "bf16-mixed".
+        accumulate_grad_batches: Batches per device and optimizer step.
+        val_check_interval: Batches per device between validations.
+    """
+
+    ranks: int
+    precision: str
+    accumulate_grad_batches: int
+    val_check_interval: int
+
+    @property
+    def trainer_arguments(self) -> dict[str, Any]:
+        """Arguments of Lightning's Trainer; they replace those of `conf/trainer`."""
+        return {name: value for name, value in asdict(self).items() if name != "ranks"}
+
+
+def plan_training(trainer: Mapping[str, Any], accumulation: Callable[[int], int], resumed: Path | None) -> TrainingPlan:
+    """Plan a training run.
+
+    `trainer.val_check_interval` counts optimizer steps and Lightning counts batches. A run shorter than the interval
+    is validated at its end.
+
+    Args:
+        trainer: The `trainer` section of the configuration.
+        accumulation: Batches per device and step for a number of ranks, see `SceneDataModule.accumulation`.
+        resumed: Checkpoint to resume from, or None.
+
+    Raises:
+        UserError: If the number of devices is not given as a number, or the global batch does not divide among them.
+    """
+    ranks = trainer["num_nodes"] * _devices_per_node(trainer["devices"])
+    accumulate = accumulation(ranks)
+    return TrainingPlan(
+        ranks=ranks,
+        precision=choose_precision(trainer["precision"], trainer["accelerator"], resumed),
+        accumulate_grad_batches=accumulate,
+        val_check_interval=min(trainer["val_check_interval"], trainer["max_steps"]) * accumulate,
+    )
+
+
+def choose_precision(setting: str, accelerator: str, resumed: Path | None) -> str:
+    """Return the precision to train in, by Lightning's name.
+
+    "auto" is mixed precision if the device has instructions for bfloat16 products, else float32: emulated bfloat16
+    is three times slower. A resumed run keeps its precision on any machine.
+
+    Args:
+        setting: "auto" or a precision of Lightning's.
+        accelerator: Lightning's setting.
+        resumed: Checkpoint to resume from, or None.
+    """
+    before = None if resumed is None else _precision_of_run(resumed)
+    if setting == AUTO:
+        return before or ("bf16-mixed" if matrix_dtype(AUTO, _device(accelerator)) == torch.bfloat16 else "32-true")
+    if before not in (None, setting):
+        warnings.warn(
+            f"{resumed}: the run was trained in {before} and continues in trainer.precision={setting}: "
+            "its weights will differ from those of an uninterrupted run",
+            stacklevel=2,
+        )
+    return setting
+
+
+def _devices_per_node(devices: Any) -> int:
+    count = len(devices) if isinstance(devices, Sequence) and not isinstance(devices, str) else devices
+    if not isinstance(count, int) or count < 1:
+        raise UserError(f"trainer.devices={devices}: give the number of devices per node")
+    return count
+
+
+def _precision_of_run(checkpoint: Path) -> str | None:
+    """Precision of the run that wrote a checkpoint; None if its folder has no config.yaml."""
+    config = checkpoint.parent.parent / "config.yaml"
+    return OmegaConf.select(OmegaConf.load(config), f"{PLAN_KEY}.precision") if config.is_file() else None
+
+
+def _device(accelerator: str) -> torch.device:
+    """Device type that Lightning will use."""
+    if accelerator in ("auto", "gpu", "cuda") and torch.cuda.is_available():
+        return torch.device("cuda")
+    if accelerator in ("auto", "gpu", "mps") and torch.backends.mps.is_available():
+        return torch.device("mps")
+    return torch.device("cpu")

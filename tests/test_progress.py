@@ -1,0 +1,56 @@
+"""Progress lines for outputs that show no bar."""
+
+import io
+
+from rich.console import Console
+
+from rfpp.progress import ProgressLines, counting, progress_bars
+
+
+def lines_at(steps, **settings) -> list[str]:
+    """Return the lines written for counts at these times."""
+    written, now = [], [0.0]
+    lines = ProgressLines("steps", written.append, clock=lambda: now[0], **settings)
+    for seconds, done in steps:
+        now[0] = seconds
+        lines(done, 650)
+    return written
+
+
+def test_the_first_line_comes_early_with_an_estimate_of_the_time():
+    written = lines_at((2.0 * step, step) for step in range(12))
+    assert written == ["steps 10 of 650, 0.5 per second, about 0:21:20 left"]
+
+
+def test_then_one_line_per_minute():
+    assert len(lines_at((2.0 * step, step) for step in range(132))) == 5
+
+
+def test_things_done_before_do_not_count_as_speed():
+    assert lines_at([(0.0, 600), (5.0, 610)]) == ["steps 610 of 650, 2 per second, about 0:00:20 left"]
+
+
+def test_there_is_no_line_at_the_end():
+    assert lines_at([(0.0, 0), (100.0, 650)]) == []
+
+
+def test_files_get_lines_and_terminals_a_bar():
+    for terminal in (False, True):
+        output = io.StringIO()
+        console = Console(file=output, force_terminal=terminal, width=100)
+        with counting(console, "images") as (show, _):
+            for done in range(13):
+                show(done, 20, f"note {done}" if done % 2 == 0 else None)
+        assert ("images 10 of 20" in output.getvalue()) != terminal
+        assert ("note 12" if terminal else "note 10") in output.getvalue()
+
+
+def test_each_part_of_a_work_has_its_own_lines():
+    output = io.StringIO()
+    with progress_bars(Console(file=output, width=200)) as bar:
+        for name in ("test, model", "test, baselines"):
+            advance = bar(name, 32)
+            for _ in range(32):
+                advance()
+    assert "test, model: 10 of 32, " in output.getvalue()
+    assert "test, baselines: 10 of 32, " in output.getvalue()

@@ -1,0 +1,50 @@
+"""A run without MLflow: its metrics are a table in its folder, even if its process is killed."""
+
+import csv
+
+from rfpp.training.tracking.run_logger import RunLogger
+
+
+def table(folder):
+    with open(folder / "metrics.csv") as file:
+        return [{name: value for name, value in row.items() if value} for row in csv.DictReader(file)]
+
+
+def test_a_row_per_step_and_a_column_per_metric(tmp_path):
+    logger = RunLogger("run", tmp_path)
+    logger.log_metrics({"train/loss": 0.1, "epoch": 0}, 0)
+    logger.log_metrics({"train/loss": 1e-9}, 1)
+    logger.log_metrics({"validation/l1": 0.25}, 1)
+    logger.finalize("success")
+    assert table(tmp_path) == [
+        {"step": "0", "train/loss": "0.1"},
+        {"step": "1", "train/loss": "1e-09", "validation/l1": "0.25"},
+    ]
+
+
+def test_every_checkpoint_updates_the_table(tmp_path):
+    logger = RunLogger("run", tmp_path)
+    logger.log_metrics({"loss": 1.0}, 0)
+    logger.sync()
+    assert [row["step"] for row in table(tmp_path)] == ["0"]
+
+
+def test_a_resumed_run_repeats_no_step_and_loses_none(tmp_path):
+    killed = RunLogger("run", tmp_path)
+    for step in range(4):
+        killed.log_metrics({"loss": step / 2}, step)  # the last two after the last checkpoint
+    again = RunLogger("run", tmp_path)
+    for step in range(2, 6):
+        again.log_metrics({"loss": step / 2}, step)
+    again.finalize("success")
+    assert [float(row["loss"]) for row in table(tmp_path)] == [step / 2 for step in range(6)]
+
+
+def test_a_run_that_fails_before_it_logs_leaves_nothing(tmp_path):
+    RunLogger("run", tmp_path / "run").finalize("failed")
+    assert not (tmp_path / "run").exists()
+
+
+def test_it_has_no_mlflow_run(tmp_path):
+    logger = RunLogger("run", tmp_path)
+    assert (logger.run_id, logger.tracking_uri, logger.version) == (None,) * 3
