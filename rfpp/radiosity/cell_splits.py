@@ -133,5 +133,7 @@ def _dividers(
                 best, score = plane, int(over.sum())
         if best is not None:
             members = np.sort(order[first[row] : first[row] + size[row]])
-            found.append((int(tested[row]), best, position[members] @ best[:3] > best[3]))
+            in_front = position[members] @ best[:3] > best[3]
+            if 0 < in_front.sum() < len(members):
+                found.append((int(tested[row]), best, in_front))
     return found
