@@ -7,7 +7,7 @@ import functools
 import os
 import sys
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NoReturn, TypeVar
 
@@ -30,6 +30,9 @@ SQLITE_NO_SPACE = "database or disk is full"
 
 #: Exceptions of constructors that receive an invalid value or an unknown key.
 _INVALID_VALUE = (ValueError, TypeError, ArithmeticError, RuntimeError)
+
+#: Groups that may be given with a plus, as in Hydra's documentation, although they have a default here.
+_WITH_PLUS = ("+experiment=", "+debug=")
 
 #: Folder of Hydra's primary configurations and groups.
 CONFIG_DIR = carried("conf", "_conf")
@@ -75,6 +78,7 @@ def entry_point(
 
         @functools.wraps(reporting)
         def command() -> Result:
+            sys.argv[1:] = without_plus(sys.argv[1:])
             os.environ["HYDRA_FULL_ERROR"] = "1"  # Hydra then raises its errors, and keeps tracebacks of defects
             try:
                 return composed()
@@ -84,6 +88,11 @@ def entry_point(
         return command
 
     return decorate
+
+
+def without_plus(arguments: Sequence[str]) -> list[str]:
+    """Return the command line with `experiment=…` for `+experiment=…`."""
+    return [given[1:] if given.startswith(_WITH_PLUS) else given for given in arguments]
 
 
 def _fail(error: UserError) -> NoReturn:

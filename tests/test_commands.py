@@ -9,10 +9,23 @@ from pathlib import Path
 import pytest
 from hydra.utils import instantiate
 
-from rfpp.commands import entry_point, settings
+from rfpp.commands import entry_point, settings, without_plus
 from rfpp.errors import UserError
 
 ROOT = Path(__file__).parents[1]
+
+
+def test_a_plus_before_experiment_and_debug_is_dropped():
+    given = ["-m", "+experiment=[ablation,known_light]", "experiment=quickstart", "+debug=cpu", "+x=+experiment=a"]
+    expected = ["-m", "experiment=[ablation,known_light]", "experiment=quickstart", "debug=cpu", "+x=+experiment=a"]
+    assert without_plus(given) == expected
+
+
+def test_the_command_line_takes_a_plus():
+    """Hydra itself refuses it for a group that has a default."""
+    command = [sys.executable, "launch/generate.py", "+experiment=quickstart", "--cfg", "job"]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
+    assert "name: quickstart" in done.stdout
 
 
 def test_settings_by_name_include_their_defaults():

@@ -124,8 +124,8 @@ def test_the_best_checkpoint_is_loaded_from_the_registry(tracked):
     fetched = checkpoint_file("models:/rfpp-debug/1", None, folder)
     ours, registered = (Renderer.load(path, "cpu") for path in (checkpoint, fetched))
     assert registered.info == ours.info
-    weights = ours.network.state_dict()
-    assert all((weights[name] == value).all() for name, value in registered.network.state_dict().items())
+    weights = ours.engine.module.state_dict()
+    assert all((weights[name] == value).all() for name, value in registered.engine.module.state_dict().items())
     assert checkpoint_file("models:/rfpp-debug/latest", None, folder) == fetched
     version = client.get_model_version("rfpp-debug", "1")
     assert version.run_id == run.info.run_id
