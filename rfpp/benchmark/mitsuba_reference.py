@@ -73,7 +73,7 @@ def _shapes(mitsuba, scene: PackedScene) -> dict[str, object]:
     for number, (first, last) in enumerate(pairwise(triangles.object_offsets.tolist())):
         material, corners = triangles.material[first], triangles.positions[first:last]
         emission = material[EMISSION]
-        if emission.any():
+        if emission.any() and triangles.object_names[number] not in triangles.one_sided:
             cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
             normal = cross / np.linalg.norm(cross, axis=-1, keepdims=True)
             shift = _BETWEEN / 2 * normal[:, None]

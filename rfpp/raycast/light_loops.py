@@ -84,6 +84,8 @@ def light_sample(
         way = (x / distance, y / distance, z / distance)
         density = probability * _density_by_area(scene, e, way, distance)
     radiance = scene.radiance[e]
+    if scene.one_sided[e] and dot(way, scene.facing[e]) >= 0:
+        return e, way, density, 0.0, False
     arriving = (radiance[0] + radiance[1] + radiance[2]) / 3 * max(dot(way, normal), 0.0) / density
     clear = arriving > 0 and distance > 0 and not blocked(scene.address, point, way, distance - CLEARANCE)
     return e, way, density, arriving, clear
@@ -153,7 +155,7 @@ def emitter_light(
 ) -> Triple:
     """What a ray of the lobe that has met an emitter brings, untinted and of single scattering."""
     light = light_of(scene, emitter)
-    if not scene.shining[light]:
+    if not scene.shining[light] or (scene.one_sided[emitter] and dot(way, scene.facing[emitter]) >= 0):
         return BLACK
     reflected, by_lobe = lobe_and_pdf(view, toward, alpha)
     density = density_of(scene, emitter, point, normal, way, distance)
@@ -253,7 +255,7 @@ def gathered_each(
 
 @compiled
 def _faces(scene: LitScene, e: int, point: Vector) -> bool:
-    """Whether a side of a solid light faces a point."""
+    """Return whether the front of an emitter faces a point."""
     corner, facing = scene.corners[e, 0], scene.facing[e]
     x, y, z = point[0] - corner[0], point[1] - corner[1], point[2] - corner[2]
     return bool(x * facing[0] + y * facing[1] + z * facing[2] > 0)
@@ -263,6 +265,8 @@ def _faces(scene: LitScene, e: int, point: Vector) -> bool:
 def _irradiance(scene: LitScene, light: int, target: LightTarget, point: Vector, normal: Vector, e: int) -> float:
     """Return the unoccluded irradiance / π of one triangle's mean radiance."""
     if scene.solid[light] and not (target.sides >> (e - scene.first[light])) & 1:
+        return 0.0
+    if scene.one_sided[e] and not _faces(scene, e, point):
         return 0.0
     return of_triangle(point, normal, scene.corners[e]) * mean(scene.radiance[e])
 

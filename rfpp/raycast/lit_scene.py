@@ -24,6 +24,7 @@ class LitScene(NamedTuple):
         positions, normals, material: as `SceneTriangles` has them.
         emitter: [M] row of those that emit below, -1 for others.
         corners, facing, radiance: [E, 3, 3], [E, 3] unit normals, of solid lights outwards, [E, 3], light by light.
+        one_sided: [E] whether it shines on its front alone, the side of its facing.
         area: [E].
         share: [E] of the emitted power of their light.
         steps: [E] sums of the shares up to each.
@@ -44,6 +45,7 @@ class LitScene(NamedTuple):
     facing: Float[np.ndarray, "e 3"]
     radiance: Float[np.ndarray, "e 3"]
     steps: Float[np.ndarray, " e"]
+    one_sided: Bool[np.ndarray, " e"]
     area: Float[np.ndarray, " e"]
     share: Float[np.ndarray, " e"]
     first: Int[np.ndarray, " l_plus_1"]
