@@ -1,4 +1,4 @@
-"""Write Blender's add-on as an extension, a zip file to be installed from disk.
+"""Write Blender's add-on as an extension, a zip file to install from disk.
 
     python launch/addon.py
     python launch/addon.py output=~/Downloads
@@ -8,7 +8,7 @@ In Blender 4.2 to 5.2: Preferences, Get Extensions, the arrow at the right, Inst
 
 from __future__ import annotations
 
-import rfpp.interrupts  # noqa: F401 (first: what follows takes seconds to import)
+import rfpp.interrupts  # noqa: F401 (first, because the imports below take seconds)
 
 # isort: split
 from pathlib import Path
@@ -21,7 +21,7 @@ from rfpp.serve.extension import write_extension
 
 @entry_point("addon", CONFIG_DIR / "serve")
 def main(cfg: DictConfig) -> Path:
-    """Write it to `cfg.output`; returns the file."""
+    """Write the add-on to `cfg.output` and return its path."""
     path = write_extension(Path(cfg.output).expanduser())
     print(f"{path}   (Blender: Preferences, Get Extensions, Install from Disk)")
     return path

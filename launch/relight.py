@@ -1,14 +1,14 @@
-"""Find the power and colours of a scene's lights from a picture.
+"""Find the power and color of a scene's lights from a picture.
 
     python launch/relight.py scene=data/scenes/roughness_spheres.json target=evening.exr
-    python launch/relight.py scene=room.glb target=[a.png,b.png] cameras=[0,2] colours=false
+    python launch/relight.py scene=room.glb target=[a.png,b.png] cameras=[0,2] colors=false
 
 Writes the scene with these lights, its images, and a sheet of before, target and after.
 """
 
 from __future__ import annotations
 
-import rfpp.interrupts  # noqa: F401 (first: what follows takes seconds to import)
+import rfpp.interrupts  # noqa: F401 (first, because the imports below take seconds)
 
 # isort: split
 from collections.abc import Sequence
@@ -32,38 +32,42 @@ from rfpp.inference.relighting import Images, SolvedLights, solve_lights, with_f
 from rfpp.inference.stills import write_still
 from rfpp.scene.io.loading import load_scene
 from rfpp.scene.io.saving import fits_json, save_scene
+from rfpp.scene.spec import Scene
 from rfpp.training.tracking.registry import checkpoint_file
 
 
 @entry_point("relight", CONFIG_DIR / "render")
 def main(cfg: DictConfig) -> Path:
-    """Solve for the lights of `cfg.scene`; returns the scene file that has them."""
+    """Solve for the lights of `cfg.scene`, and return the scene file with them."""
     console = Console(highlight=False, soft_wrap=True)
-    path, targets = Path(required(cfg, "scene")), _listed(required(cfg, "target"))
-    how = {name: cfg[name] for name in ("triangles", "up", "transparent", "backdrop")}
-    scene = load_scene(path, **how)
-    cameras = list(range(len(targets))) if cfg.cameras is None else [int(camera) for camera in _listed(cfg.cameras)]
+    path, targets = Path(required(cfg, "scene")), _as_list(required(cfg, "target"))
+    scene = load_scene(path, **{name: cfg[name] for name in ("triangles", "up", "transparent", "backdrop")})
+    cameras = list(range(len(targets))) if cfg.cameras is None else [int(camera) for camera in _as_list(cfg.cameras)]
+    if not isinstance(scene, Scene):
+        raise UserError(f"{path}: holds triangles but no objects: use a format other than H5")
     if len(cameras) != len(targets):
         raise UserError(f"target: {len(targets)} pictures for cameras={cameras}: give one for each")
-    seen = with_cameras(scene, path, cameras)
-    if not seen.triangles.num_lights:
-        raise UserError(f"{path}: nothing in it emits light: there is nothing to solve for")
-    target, counts = _targets(targets, _listed(cfg.mask), cfg.exposure)
+    views = with_cameras(scene, path, cameras)
+    if not views.triangles.num_lights:
+        raise UserError(f"{path}: has no lights to solve for: add one")
+    target, is_valid = _read_targets(targets, _as_list(cfg.mask), cfg.exposure)
 
     file = checkpoint_file(str(cfg.checkpoint), cfg.registry.tracking_uri, Path(cfg.registry.folder))
     renderer = Renderer.load(file, cfg.device, cfg.precision)
     sampling = {name: cfg[name] for name in ("light_samples", "supersampling", "transports")}
-    with console.status(f"Rendering {seen.triangles.num_lights} lights apart …"):
-        layers = renderer.render_lights(seen, target.shape[1:3], **sampling)
-    solved = solve_lights(layers, target, counts, cfg.colours, float(cfg.pull))
+    with console.status(f"Rendering {views.triangles.num_lights} lights separately …"):
+        layers = renderer.render_lights(views, target.shape[1:3], **sampling)
+    solved = solve_lights(layers, target, is_valid, cfg.colors)
 
-    console.print(_table(solved))
-    for name in solved.unseen:
-        console.print(f"warning: '{name}' is not seen in the target: it stays as it is")
+    table = Table("light", "red ×", "green ×", "blue ×")
+    for name, factor in solved.factors.items():
+        table.add_row(name, *(f"{value:.3f}" for value in factor))
+    console.print(table)
+    for name in solved.invisible:
+        console.print(f"warning: '{name}' is invisible in the target: it keeps its values")
     for one, other in solved.alike:
-        console.print(f"warning: '{one}' and '{other}' light the target alike: only their sum is known")
-    stem, tone_map = as_file_name(path.stem), instantiate(cfg.tone_map, stops=cfg.exposure)
-    folder = Path(cfg.output)
+        console.print(f"warning: '{one}' and '{other}' have the same effect on the target: only their sum is known")
+    stem, tone_map, folder = as_file_name(path.stem), instantiate(cfg.tone_map, stops=cfg.exposure), Path(cfg.output)
     for view, image in enumerate(solved.images):
         write_still(image, folder / f"{stem}_relit_{view}.exr", tone_map)
     sheet = save_picture(_sheet(sum(layers.values()), target, solved, tone_map), folder / f"{stem}_relit.png")
@@ -74,32 +78,25 @@ def main(cfg: DictConfig) -> Path:
     return written
 
 
-def _listed(value: object) -> list[str]:
+def _as_list(value: object) -> list[str]:
     plain = OmegaConf.to_container(value) if OmegaConf.is_config(value) else value
     return [] if plain is None else [str(item) for item in (plain if isinstance(plain, list) else [plain])]
 
 
-def _targets(files: Sequence[str], masks: Sequence[str], stops: float) -> tuple[Images, np.ndarray]:
-    """Radiance of all pictures and which pixels count. Raises UserError: of several sizes, or nothing counts."""
-    pictures, known = zip(*(read_radiance(Path(file), stops) for file in files), strict=True)
+def _read_targets(files: Sequence[str], masks: Sequence[str], stops: float) -> tuple[Images, np.ndarray]:
+    """Return radiance and valid pixels. Raises UserError if sizes differ, or no pixel is valid."""
+    pictures, valid = zip(*(read_radiance(Path(file), stops) for file in files), strict=True)
     if len({picture.shape for picture in pictures}) > 1:
-        raise UserError(f"target: {', '.join(files)} are of several sizes: give pictures of one")
-    counts = np.stack(known)
+        raise UserError(f"target: {', '.join(files)} differ in size: give pictures of one size")
+    is_valid = np.stack(valid)
     if masks:
-        white = [read_radiance(Path(mask))[0].mean(-1) > 0.2 for mask in masks]  # half of what 8 bits hold
-        if len(white) != len(files) or any(one.shape != counts.shape[1:] for one in white):
+        white = [read_radiance(Path(mask))[0].mean(-1) > 0.2 for mask in masks]  # half of the 8-bit range
+        if len(white) != len(files) or any(mask.shape != is_valid.shape[1:] for mask in white):
             raise UserError("mask: give one for each target, of its size")
-        counts &= np.stack(white)
-    if not counts.any():
-        raise UserError(f"target: no pixel of {', '.join(files)} counts: all are clipped or masked")
-    return np.stack(pictures), counts
-
-
-def _table(solved: SolvedLights) -> Table:
-    table = Table("light", "red ×", "green ×", "blue ×")
-    for name, factor in solved.factors.items():
-        table.add_row(name, *(f"{value:.3f}" for value in factor))
-    return table
+        is_valid &= np.stack(white)
+    if not is_valid.any():
+        raise UserError(f"target: {', '.join(files)}: all pixels are clipped or masked: give another picture or mask")
+    return np.stack(pictures), is_valid
 
 
 def _sheet(before: Images, target: Images, solved: SolvedLights, tone_map: ToneMap) -> np.ndarray:

@@ -1,15 +1,15 @@
-"""Look at a scene and edit it in a browser while a trained network renders it.
+"""Look at a scene and edit it in a browser.
 
     python launch/view.py scene=data/scenes/cornell_box.json
     python launch/view.py scene=chair.glb checkpoint=data/runs/quickstart/latest/checkpoints/best.ckpt
 
-Drag to turn, scroll to come closer, drag with the right button to move. The page is for this machine only unless
-host=0.0.0.0 says otherwise: whoever can open it can use this machine's processor.
+Drag to turn, scroll to zoom, drag with the right button to move. The page is served to this machine only, unless
+host=0.0.0.0 is given: whoever opens it uses this machine's processor.
 """
 
 from __future__ import annotations
 
-import rfpp.interrupts  # noqa: F401 (first: what follows takes seconds to import)
+import rfpp.interrupts  # noqa: F401 (first, because the imports below take seconds)
 
 # isort: split
 import threading
@@ -22,7 +22,6 @@ from rich.console import Console
 
 from rfpp import Renderer
 from rfpp.commands import CONFIG_DIR, entry_point, settings
-from rfpp.errors import MissingDependencyError
 from rfpp.imaging.tone_maps import ToneMap
 from rfpp.scene.io.loading import load_scene
 from rfpp.training.tracking.registry import checkpoint_file
@@ -31,18 +30,15 @@ from rfpp.training.tracking.registry import checkpoint_file
 @entry_point("view")
 def main(cfg: DictConfig) -> None:
     """Serve the page until Ctrl-C."""
-    try:
-        from rfpp.viewer.reference import PathTracer
-        from rfpp.viewer.server import Viewer
-    except ImportError as error:
-        raise MissingDependencyError(f"the viewer needs viser ({error}): pip install -e '.[viewer]'") from None
+    from rfpp.viewer.server import Viewer  # needs an extra
+
     checkpoint = checkpoint_file(str(cfg.checkpoint), cfg.registry.tracking_uri, Path(cfg.registry.folder))
     renderer = Renderer.load(checkpoint, cfg.device, cfg.precision)
     viewer = Viewer(
         renderer,
         load_scene(cfg.scene),
         tone_maps(),
-        PathTracer(instantiate(settings("reference", "reference_settings", cfg.reference_settings))),
+        instantiate(settings("reference", "reference_settings", cfg.reference_settings)),
         host=cfg.host,
         port=cfg.port,
         longer_side=cfg.resolution or max(renderer.info.resolution),
@@ -50,7 +46,7 @@ def main(cfg: DictConfig) -> None:
     )
     console = Console(highlight=False, soft_wrap=True)
     with viewer:
-        console.print(f"{viewer.url}   (Ctrl-C ends it)")
+        console.print(f"{viewer.url}   (Ctrl-C stops it)")
         try:
             threading.Event().wait()
         except KeyboardInterrupt:
@@ -58,7 +54,7 @@ def main(cfg: DictConfig) -> None:
 
 
 def tone_maps() -> dict[str, Callable[..., ToneMap]]:
-    """By their names in conf/render/tone_map, sRGB first."""
+    """Return the tone maps of conf/render/tone_map by name, sRGB first."""
     files = sorted((CONFIG_DIR / "render" / "tone_map").glob("*.yaml"), key=lambda file: file.stem != "srgb")
     return {file.stem: instantiate(OmegaConf.load(file), _partial_=True) for file in files}
 

@@ -13,6 +13,8 @@ EXTRAS = {
     "skimage": "data",
     "matplotlib": "evaluation",
     "mlflow": "tracking",
+    "starlette": "serve",
+    "uvicorn": "serve",
     "viser": "viewer",
 }
 

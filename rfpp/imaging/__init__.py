@@ -1,1 +1,1 @@
-"""Pictures: radiance encodings, tone maps, EXR files, labelled panels."""
+"""Pictures: radiance encodings, tone maps, EXR files and labeled sheets."""

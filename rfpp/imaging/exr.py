@@ -1,7 +1,7 @@
-"""OpenEXR images as named layers: the only file that knows the image library.
+"""OpenEXR images as named layers: the only file that uses the image library.
 
-A layer is an array [H, W] (one channel: half, float32 or uint32) or [H, W, 3 or 4] (half or float32). The layer
-named "RGB" is what image viewers show. Compression is ZIP, which is lossless.
+A layer is an array [H, W] (one channel: half, float32 or uint32) or [H, W, 3 or 4] (half or float32). Image viewers
+show the layer named "RGB". Compression is ZIP, which is lossless.
 """
 
 from __future__ import annotations
@@ -26,44 +26,39 @@ class ImageFileError(UserError):
 
 
 def encode_exr(layers: Mapping[str, np.ndarray], attributes: Mapping[str, str] | None = None) -> bytes:
-    """The bytes of an OpenEXR file with these layers (see the module) and text attributes in its header.
-
-    Raises:
-        ValueError: no layer, layers of different sizes, or a shape or dtype that the format would store wrongly.
-    """
+    """Return an OpenEXR file with layers of one size and text attributes. Raises ValueError if it cannot store them."""
     if len({np.shape(layer)[:2] for layer in layers.values()}) != 1:
         raise ValueError(f"layers must share one height and width, got { {n: np.shape(a) for n, a in layers.items()} }")
-    channels = {name: _storable(name, layer) for name, layer in layers.items()}
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage, **(attributes or {})}
     stream = io.BytesIO()
-    OpenEXR.File(header, channels).write(stream)
+    OpenEXR.File(header, {name: _storable(name, layer) for name, layer in layers.items()}).write(stream)
     return stream.getvalue()
 
 
 def decode_exr(data: bytes, source: str = "EXR data") -> dict[str, np.ndarray]:
-    """The layers of an OpenEXR file. Raises ImageFileError naming `source` when the data is truncated or damaged."""
+    """Return the layers of an OpenEXR file. Raises ImageFileError naming `source` if it is damaged."""
     with _opened(data, source) as file:
         return {name: np.array(channel.pixels) for name, channel in file.channels().items()}
 
 
 def exr_attributes(data: bytes, source: str = "EXR data") -> dict[str, str]:
-    """The text attributes in the header, as given to `encode_exr`. Raises ImageFileError like `decode_exr`."""
+    """Return the text attributes in the header. Raises ImageFileError naming `source` if the file is damaged."""
     with _opened(data, source) as file:
         return {name: value for name, value in file.header().items() if isinstance(value, str)}
 
 
 def compact(radiance: np.ndarray) -> np.ndarray:
-    """Half floats where they hold it, else float32."""
+    """Return half floats if they can hold the values, otherwise float32."""
     return np.ascontiguousarray(radiance, np.float16 if np.abs(radiance).max(initial=0) <= HALF_MAX else np.float32)
 
 
 def write_exr(path: Path, layers: Mapping[str, np.ndarray], attributes: Mapping[str, str] | None = None) -> Path:
-    """Write an OpenEXR file atomically, creating its folder; returns the path. Raises UserError (full disk)."""
+    """Write an OpenEXR file atomically and return its path. Raises UserError if it cannot be written."""
     return write_atomically(Path(path), encode_exr(layers, attributes))
 
 
 def read_exr(path: Path) -> dict[str, np.ndarray]:
-    """The layers of an OpenEXR file. Raises ImageFileError naming a missing, unreadable or damaged file."""
+    """Return the layers of an OpenEXR file. Raises ImageFileError if it is missing or damaged."""
     try:
         data = Path(path).read_bytes()
     except OSError as error:
@@ -72,7 +67,7 @@ def read_exr(path: Path) -> dict[str, np.ndarray]:
 
 
 def _storable(name: str, layer: np.ndarray) -> np.ndarray:
-    """`layer`, contiguous. The library writes other layouts and channel counts wrongly without saying so."""
+    """Return a contiguous layer; the library silently corrupts other layouts and channel counts."""
     layer = np.ascontiguousarray(layer)
     if layer.dtype not in _DTYPES:
         raise ValueError(f"layer '{name}' has dtype {layer.dtype}: use float16, float32 or uint32")
@@ -83,12 +78,12 @@ def _storable(name: str, layer: np.ndarray) -> np.ndarray:
 
 @contextmanager
 def _opened(data: bytes, source: str) -> Iterator[OpenEXR.File]:
-    """The parsed file; damaged data appears to the library as an exception or as a file without parts."""
+    """Open a file; the library reports damage by exceptions of several kinds, or by a file without parts."""
     try:
         file = OpenEXR.File(io.BytesIO(data))
-    except Exception as error:
-        raise ImageFileError(f"{source}: not a complete OpenEXR image: make or download it again") from error
-    with file:
         if not file.parts:
-            raise ImageFileError(f"{source}: truncated or damaged OpenEXR image: make or download it again")
+            raise ValueError("no parts")
+    except Exception as error:
+        raise ImageFileError(f"{source}: not a complete OpenEXR image: create or download it again") from error
+    with file:
         yield file

@@ -1,111 +1,145 @@
-"""Films: the frames of a motion, rendered and path-traced into folders, and the pictures of a video made from these."""
+"""Animations: frames of a motion, rendered and path-traced into folders, and the pictures of their videos."""
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from itertools import groupby
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import UInt8
+import torch
+from jaxtyping import Float, UInt8
 
+from rfpp.imaging.exr import ImageFileError, compact, decode_exr, exr_attributes, read_exr, write_exr
 from rfpp.imaging.panels import error_map
 from rfpp.imaging.tone_maps import ToneMap
-from rfpp.inference.frame_folder import FrameFolder, Shot, digest, weights_digest
-from rfpp.inference.overlapped_writing import written_beside
+from rfpp.inference.bounded_cache import digest_of
 from rfpp.inference.references import path_traced
 from rfpp.inference.renderer import Renderer
+from rfpp.inference.stills import written_in_background
 from rfpp.metrics.flicker import flicker
 from rfpp.reference.cycles import CyclesSettings
 from rfpp.scene.packed import PackedScene
 
-#: Called with (frames there, frames in all); see `rfpp.progress.counting`.
+Image = Float[np.ndarray, "h w 3"]
+#: Receives (finished frames, all frames); see `rfpp.progress.counting`.
 Show = Callable[[int, int], None]
-Size = tuple[int, int]
+#: Name of the digest in a file's header.
+_ORIGIN = "rendered_from"
 
 
-class Film:
-    """Frames of an animation, rendered and optionally path-traced, each into a folder.
+class _Frame(NamedTuple):
+    number: int
+    scene: PackedScene
+    origin: str  # digest of everything the image depends on
+
+
+class _FrameFolder:
+    """Frames in a folder: 00000.exr, 00001.exr, …, each with a digest of its scene, the renderer and its settings."""
+
+    def __init__(self, folder: Path, settings: bytes):
+        self._folder, self._settings = folder, settings
+
+    def missing(self, frames: Sequence) -> Iterator[_Frame]:
+        """Yield the frames whose files are missing, damaged, or have other inputs."""
+        for number in range(len(frames)):
+            scene = frames[number]
+            triangles = scene.triangles
+            arrays = triangles.positions, triangles.normals, triangles.material, triangles.object_offsets
+            texture = () if scene.texture is None else (scene.texture,)
+            origin = digest_of(self._settings, *arrays, scene.c2w, scene.fov, *texture).hex()
+            if not self._holds(number, origin):
+                yield _Frame(number, scene, origin)
+
+    def write(self, image: Image, frame: _Frame) -> None:
+        """Write a frame. Raises UserError if that fails."""
+        write_exr(self._path(frame.number), {"RGB": compact(image)}, {_ORIGIN: frame.origin})
+
+    def images(self, count: int) -> Iterator[Image]:
+        """Yield the linear radiance of the first frames. Raises ImageFileError naming an unreadable one."""
+        return (read_exr(self._path(number))["RGB"].astype(np.float32) for number in range(count))
+
+    def _path(self, number: int) -> Path:
+        return self._folder / f"{number:05d}.exr"
+
+    def _holds(self, number: int, origin: str) -> bool:
+        try:
+            data = self._path(number).read_bytes()
+            return exr_attributes(data).get(_ORIGIN) == origin and "RGB" in decode_exr(data)
+        except (OSError, ImageFileError):
+            return False
+
+
+class Animation:
+    """Frames of an animation, rendered and optionally path-traced. Interrupted or changed animations are resumed.
 
     Args:
-        frames: of a motion, each a PackedScene with one camera, made when it is asked for.
-        folder: of the rendered frames; the path-traced ones are in `reference` below it.
+        frames: Frames of a motion, each a PackedScene with one camera, created on access.
+        folder: Folder of the rendered frames; path-traced ones are in its subfolder `reference`.
         size: (height, width) in pixels.
     """
 
-    def __init__(self, frames: Sequence, folder: Path, size: Size):
+    def __init__(self, frames: Sequence, folder: Path, size: tuple[int, int]):
         self.frames, self.folder, self.size = frames, folder, size
-        self._predicted = self._traced = None
+        self._rendered = self._traced = None
 
     def render(self, renderer: Renderer, sampling: Mapping[str, int | None], show: Show) -> int:
-        """Render what is not there yet; returns how many. A scene that only the camera moves through is encoded once.
+        """Render missing frames, those of one scene together, and return their number.
 
-        Args:
-            sampling: of `Renderer.render`, by name.
-
-        Raises:
-            UserError: a frame cannot be made or written; those before it are kept.
+        `sampling` holds arguments of `Renderer.render`, `show` receives the progress. Raises UserError if a frame
+        cannot be created or written; earlier frames are kept.
         """
-        chosen = f"{renderer.dtype} {self.size} {dict(sampling)}"
-        origin = digest(weights_digest(renderer.engine.module), chosen.encode())
-        self._predicted, made = FrameFolder(self.folder, origin), 0
-        for shots in _of_one_scene(self._predicted.missing(self.frames)):
-            show(shots[0].number, len(self.frames))
-            images = renderer.views(_together(shots), self.size, **sampling)
-            for shot, _ in zip(shots, written_beside(images, shots, self._predicted.write), strict=True):
-                made += 1
-                show(shot.number + 1, len(self.frames))
-        return made
+        weights = sorted(renderer.engine.module.state_dict().items())
+        parts = (part for name, tensor in weights for part in (name.encode(), _array(tensor)))
+        settings = f"{renderer.dtype} {self.size} {dict(sampling)}".encode()
+        self._rendered, count = _FrameFolder(self.folder, digest_of(settings, *parts)), 0
+        for _, group in groupby(self._rendered.missing(self.frames), lambda frame: id(frame.scene.triangles)):
+            frames = list(group)
+            show(frames[0].number, len(self.frames))
+            c2w, fov = (np.concatenate([getattr(frame.scene, name) for frame in frames]) for name in ("c2w", "fov"))
+            images = renderer.views(replace(frames[0].scene, c2w=c2w, fov=fov), self.size, **sampling)
+            written = written_in_background(images, frames, self._rendered.write)
+            for frame, _ in zip(frames, written, strict=True):
+                count += 1
+                show(frame.number + 1, len(self.frames))
+        return count
 
     def path_trace(self, settings: CyclesSettings, show: Show) -> int:
-        """Path-trace what is not there yet; returns how many. Raises like `render`, and MissingDependencyError."""
-        self._traced, made = FrameFolder(self.folder / "reference", digest(f"{settings} {self.size}".encode())), 0
-        under_way: deque[Shot] = deque()
+        """Path-trace missing frames and return their number. Raises as `render`, and if Blender is missing."""
+        self._traced, count = _FrameFolder(self.folder / "reference", digest_of(f"{settings} {self.size}".encode())), 0
+        pending: deque[_Frame] = deque()
 
         def scenes() -> Iterator[PackedScene]:
-            for shot in self._traced.missing(self.frames):
-                show(shot.number, len(self.frames))
-                under_way.append(shot)
-                yield shot.scene
+            for frame in self._traced.missing(self.frames):
+                show(frame.number, len(self.frames))
+                pending.append(frame)
+                yield frame.scene
 
         for images, _ in path_traced(scenes(), self.size, settings):
-            shot = under_way.popleft()
-            self._traced.write(images[0], shot)
-            made += 1
-            show(shot.number + 1, len(self.frames))
-        return made
+            frame = pending.popleft()
+            self._traced.write(images[0], frame)
+            count += 1
+            show(frame.number + 1, len(self.frames))
+        return count
 
     def pictures(self, tone_map: ToneMap) -> Iterator[UInt8[np.ndarray, "h w 3"]]:
-        """The rendered frames for display."""
-        return map(tone_map, self._predicted.images(len(self.frames)))
+        """Yield the rendered frames for display."""
+        return map(tone_map, self._rendered.images(len(self.frames)))
 
     def comparison(self, tone_map: ToneMap) -> Iterator[UInt8[np.ndarray, "h wide 3"]]:
-        """Reference, prediction and error (`rfpp.imaging.panels.error_map`) side by side."""
+        """Yield reference, prediction and error (`rfpp.imaging.panels.error_map`) side by side."""
         count = len(self.frames)
-        for image, reference in zip(self._predicted.images(count), self._traced.images(count), strict=True):
-            parts = tone_map(reference), tone_map(image), error_map(image, reference)
-            yield np.concatenate(parts, axis=1)
+        for image, reference in zip(self._rendered.images(count), self._traced.images(count), strict=True):
+            yield np.concatenate([tone_map(reference), tone_map(image), error_map(image, reference)], axis=1)
 
     def flicker(self) -> float:
-        """See `rfpp.metrics.flicker`."""
+        """Return the flicker, see `rfpp.metrics.flicker`."""
         count = len(self.frames)
-        return flicker(self._predicted.images(count), self._traced.images(count))
+        return flicker(self._rendered.images(count), self._traced.images(count))
 
 
-def _of_one_scene(shots: Iterable[Shot]) -> Iterator[list[Shot]]:
-    """Neighbours that differ in nothing but the camera, together."""
-    run: list[Shot] = []
-    for shot in shots:
-        if run and shot.scene.triangles is not run[0].scene.triangles:
-            yield run
-            run = []
-        run.append(shot)
-    if run:
-        yield run
-
-
-def _together(shots: Sequence[Shot]) -> PackedScene:
-    """One scene with the cameras of all shots."""
-    c2w, fov = (np.concatenate([getattr(shot.scene, name) for shot in shots]) for name in ("c2w", "fov"))
-    return replace(shots[0].scene, c2w=c2w, fov=fov)
+def _array(tensor: torch.Tensor) -> np.ndarray:
+    return tensor.detach().cpu().contiguous().reshape(-1).view(torch.uint8).numpy()

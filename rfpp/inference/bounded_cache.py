@@ -1,34 +1,29 @@
-"""A cache bounded in bytes that forgets what was used longest ago."""
+"""A cache with a limit in bytes that discards the least recently used values, and digests as its keys."""
 
 from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
+from hashlib import blake2b
 from threading import Lock
 from typing import Generic, TypeVar
+
+import numpy as np
 
 Value = TypeVar("Value")
 
 
 class BoundedCache(Generic[Value]):
-    """Key → value, for any number of threads.
-
-    Args:
-        max_bytes: that the values may occupy together.
-    """
+    """Thread-safe cache with a limit of all values together."""
 
     def __init__(self, max_bytes: int):
-        self.max_bytes = max_bytes
-        self.bytes = 0
+        self.max_bytes, self.bytes = max_bytes, 0
         self._entries: OrderedDict[Hashable, tuple[Value, int]] = OrderedDict()
         self._lock = Lock()
-        self._making: dict[Hashable, Lock] = {}
-
-    def __len__(self) -> int:
-        return len(self._entries)
+        self._computing: dict[Hashable, Lock] = {}
 
     def get(self, key: Hashable) -> Value | None:
-        """What was put under a key, if it is still there."""
+        """Return a value, or None if it is not in the cache."""
         with self._lock:
             if key not in self._entries:
                 return None
@@ -36,32 +31,40 @@ class BoundedCache(Generic[Value]):
             return self._entries[key][0]
 
     def put(self, key: Hashable, value: Value, size: int) -> None:
-        """Keep a value of `size` bytes; one that would not fit even alone is not kept."""
+        """Store a value of `size` bytes, unless it exceeds the limit by itself."""
         with self._lock:
-            _, before = self._entries.pop(key, (None, 0))
-            self.bytes -= before
+            self.bytes -= self._entries.pop(key, (None, 0))[1]
             if size > self.max_bytes:
                 return
             self._entries[key] = value, size
             self.bytes += size
             while self.bytes > self.max_bytes:
-                _, (_, freed) = self._entries.popitem(last=False)
-                self.bytes -= freed
+                self.bytes -= self._entries.popitem(last=False)[1][1]
 
-    def recall(self, key: Hashable, size: int, make: Callable[[], Value]) -> Value:
-        """What is under a key; where nothing is, what `make` makes, which is kept.
+    def get_or_compute(self, key: Hashable, size: int, compute: Callable[[], Value]) -> Value:
+        """Return a value; compute and store it first if it is missing.
 
-        Threads that want the same wait for the one that makes it. `make` may recall other keys, never its own.
+        Threads that request the same value wait for one of them to compute it. `compute` may use other keys only.
         """
         with self._lock:
-            making = self._making.setdefault(key, Lock())
+            computing = self._computing.setdefault(key, Lock())
         try:
-            with making:
+            with computing:
                 value = self.get(key)
                 if value is None:
-                    value = make()
+                    value = compute()
                     self.put(key, value, size)
                 return value
         finally:
             with self._lock:
-                self._making.pop(key, None)
+                self._computing.pop(key, None)
+
+
+def digest_of(*parts: np.ndarray | bytes) -> bytes:
+    """Return 16 bytes that identify the content and length of each part."""
+    digest = blake2b(digest_size=16)
+    for part in parts:
+        content = memoryview(np.ascontiguousarray(part)).cast("B") if isinstance(part, np.ndarray) else part
+        digest.update(len(content).to_bytes(8, "little"))
+        digest.update(content)
+    return digest.digest()

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from rfpp.inference.materials import Materials, MaterialTensors
-from rfpp.inference.memory import require_memory
+from rfpp.inference.plan import require_memory
 from rfpp.inference.renderer import Renderer
 from rfpp.inference.tangents import DifferentiableInputs, change_of
 from rfpp.radiosity.refinement import Refinement

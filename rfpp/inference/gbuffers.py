@@ -7,8 +7,7 @@ from collections.abc import Callable, Collection, Sequence
 import numpy as np
 from jaxtyping import Float
 
-from rfpp.inference.bounded_cache import BoundedCache
-from rfpp.inference.digest import digest_of
+from rfpp.inference.bounded_cache import BoundedCache, digest_of
 from rfpp.raycast.first_hit import DIRECT_CHANNELS, GBuffer, camera_caster, first_hit, stack_channels
 from rfpp.raycast.known_light import with_known_light
 from rfpp.raycast.light_sampler import LightSampler
@@ -71,17 +70,10 @@ class GBufferSource:
         light: str | None = None,
         traced: bool = False,
     ) -> GBuffer:
-        """Return the G-buffer of a view, with the light that `channels` ask for.
+        """Return the G-buffer of a view, with the light that `channels` need.
 
-        Args:
-            scene: The scene with its cameras.
-            view: Number of the camera.
-            height: Image height in pixels.
-            width: Image width in pixels.
-            light_samples: See `of`.
-            points: See `of`.
-            light: Object whose light alone counts; None for all lights.
-            traced: Whether to record derivatives by materials (`rfpp.raycast.traces`).
+        Arguments are those of `of`, and the number of the camera, the object whose light alone counts (None for all
+        lights), and whether to record derivatives by materials (`rfpp.raycast.traces`).
         """
         gbuffer = self.first_hit(scene, view, height, width, points)
         if not self._wants((*DIRECT_CHANNELS, "reflected_light")):
@@ -98,23 +90,23 @@ class GBufferSource:
 
         def cast() -> GBuffer:
             size = _BYTES_PER_TRIANGLE * len(triangles)
-            caster = self._cache.recall(("camera", geometry), size, lambda: camera_caster(triangles))
+            caster = self._cache.get_or_compute(("camera", geometry), size, lambda: camera_caster(triangles))
             return first_hit(triangles, c2w, fov, height, width, caster, points)
 
         key = (geometry, c2w.tobytes(), float(fov), height, width, points)
-        return self._cache.recall(key, _BYTES_PER_PIXEL * height * width, cast)
+        return self._cache.get_or_compute(key, _BYTES_PER_PIXEL * height * width, cast)
 
     def lights(self, triangles: SceneTriangles, light: str | None = None) -> LightSampler:
         """Return the sampler of all lights, or of one; it depends on all materials, which reflect."""
         key = ("lights", geometry_digest(triangles), digest_of(triangles.material))
         size = _SAMPLER_BYTES_PER_TRIANGLE * len(triangles)
-        lights = self._cache.recall(key, size, lambda: LightSampler(triangles, self.shadow_caster(triangles)))
+        lights = self._cache.get_or_compute(key, size, lambda: LightSampler(triangles, self.shadow_caster(triangles)))
         return lights if light is None else lights.only(light)
 
     def shadow_caster(self, triangles: SceneTriangles) -> RayCaster:
         """Return a caster over all triangles, emitters included."""
         key, size = ("shadows", geometry_digest(triangles)), _BYTES_PER_TRIANGLE * len(triangles)
-        return self._cache.recall(key, size, lambda: RayCaster(triangles.positions))
+        return self._cache.get_or_compute(key, size, lambda: RayCaster(triangles.positions))
 
     def _wants(self, channels: Collection[str]) -> bool:
         return not set(self.channels).isdisjoint(channels)

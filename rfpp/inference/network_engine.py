@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from rfpp.batch import RaggedBatch, SceneViews
 from rfpp.imaging.radiance import log_decode
-from rfpp.inference.digest import digest_of
+from rfpp.inference.bounded_cache import digest_of
 from rfpp.inference.gbuffers import GBufferSource
 from rfpp.inference.object_encoder import ObjectEncoder
 from rfpp.inference.plan import Plan

@@ -4,17 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from hashlib import blake2b
 from itertools import pairwise
 
-import numpy as np
 import torch
 from jaxtyping import Float
 from threadpoolctl import threadpool_limits
 from torch import Tensor
 
 from rfpp.batch import RaggedBatch
-from rfpp.inference.bounded_cache import BoundedCache
+from rfpp.inference.bounded_cache import BoundedCache, digest_of
 from rfpp.model.layers.scene_tokens import SceneTokens
 from rfpp.model.renderformer_pp import RenderFormerPP
 from rfpp.raycast.threads import cores
@@ -52,7 +50,7 @@ class ObjectEncoder:
     ):
         self.network, self.device = network, device
         self._triangles_at_once = triangles_at_once or (1 if device.type == "cpu" else _GPU_TRIANGLES)
-        self._kept: BoundedCache[SceneTokens] = BoundedCache(max_bytes)
+        self._cache: BoundedCache[SceneTokens] = BoundedCache(max_bytes)
         #: Number of objects encoded so far.
         self.encoded = 0
 
@@ -65,14 +63,14 @@ class ObjectEncoder:
     def _each(self, batch: RaggedBatch) -> list[SceneTokens]:
         """Return the tokens of every object of a batch on the CPU that is normalized to its exposure."""
         keys = object_keys(batch)
-        tokens = {key: self._kept.get(key) for key in keys}
+        tokens = {key: self._cache.get(key) for key in keys}
         missing = {key: number for number, key in enumerate(keys) if tokens[key] is None}
         chunks = list(batch.object_chunks(list(missing.values()), self._triangles_at_once))
         for numbers, encoded in zip(chunks, self._encoded(batch, chunks), strict=True):
             self.encoded += len(numbers)
             for number, part in zip(numbers, encoded, strict=True):
                 tokens[keys[number]] = part
-                self._kept.put(keys[number], part, _bytes(part))
+                self._cache.put(keys[number], part, _bytes(part))
         return [tokens[key] for key in keys]
 
     def _encoded(self, batch: RaggedBatch, chunks: Sequence[list[int]]) -> Iterator[list[SceneTokens]]:
@@ -104,14 +102,8 @@ def _on_one_core() -> None:
 def object_keys(batch: RaggedBatch) -> list[bytes]:
     """Return a digest of each object's triangles, for a batch on the CPU."""
     arrays = [batch.positions, batch.normals, batch.material, *([] if batch.texture is None else [batch.texture])]
-    arrays = [np.ascontiguousarray(array.numpy()) for array in arrays]
-    keys = []
-    for first, last in pairwise(batch.objects.offsets.tolist()):
-        digest = blake2b(digest_size=16)
-        for array in arrays:
-            digest.update(array[first:last])
-        keys.append(digest.digest())
-    return keys
+    arrays = [array.numpy() for array in arrays]
+    return [digest_of(*(array[i:j] for array in arrays)) for i, j in pairwise(batch.objects.offsets.tolist())]
 
 
 def _bytes(tokens: SceneTokens) -> int:

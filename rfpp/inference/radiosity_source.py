@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from rfpp.inference.bounded_cache import BoundedCache
-from rfpp.inference.digest import digest_of
+from rfpp.inference.bounded_cache import BoundedCache, digest_of
 from rfpp.inference.gbuffers import GBufferSource, geometry_digest
 from rfpp.inference.plan import Plan
 from rfpp.radiosity.cell_finding import CellSources, cells_at
@@ -55,7 +54,7 @@ class RadiositySource:
         key = ("cells", geometry_digest(triangles), digest_of(triangles.material), light)
         size = _CELL_BYTES_PER_TRIANGLE * len(triangles)
         places = self._places(triangles)
-        return self._cache.recall(key, size, lambda: cells_at(places, self.gbuffers.lights(triangles, light)))
+        return self._cache.get_or_compute(key, size, lambda: cells_at(places, self.gbuffers.lights(triangles, light)))
 
     def seen(self, plan: Plan, view: int, light: str | None = None, traced: bool = False) -> SeenView:
         """Return a view's G-buffer and the cells that its pixels see; see `GBufferSource.gbuffer`."""
@@ -70,7 +69,7 @@ class RadiositySource:
             return find_places(triangles, self.gbuffers.shadow_caster(triangles))
 
         key = ("places", geometry_digest(triangles))
-        return self._cache.recall(key, _CELL_BYTES_PER_TRIANGLE * len(triangles), find)
+        return self._cache.get_or_compute(key, _CELL_BYTES_PER_TRIANGLE * len(triangles), find)
 
 
 def as_tensors(seen: SeenView, scene: PackedScene, view: int, cells: int, device: torch.device) -> View:

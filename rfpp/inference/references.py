@@ -1,4 +1,4 @@
-"""Path-traced images of scenes, from a worker process of their own, which imports this file: so not torch."""
+"""Path-traced images of scenes, rendered in a worker process, which imports this file and so must not load torch."""
 
 from __future__ import annotations
 
@@ -17,15 +17,10 @@ Traced = tuple[Float[np.ndarray, "v h w 3"], float]
 
 
 def path_traced(scenes: Iterable[PackedScene], size: tuple[int, int], settings: CyclesSettings) -> Iterator[Traced]:
-    """For each scene in order, the linear radiance that its cameras see, and the seconds that Cycles took.
+    """Yield for each scene, in order, the linear radiance seen by its cameras and the render time in seconds.
 
-    Args:
-        scenes: read one at a time.
-        size: (height, width) in pixels.
-
-    Raises:
-        MissingDependencyError: Blender is not installed.
-        UserError: it cannot render a scene.
+    Scenes are read one at a time; `size` is (height, width) in pixels. Raises UserError if Blender is missing or cannot
+    render a scene.
     """
     with RenderFarm(1) as farm:
         for _, traced in farm.map(partial(_trace, size=size, settings=settings), scenes):

@@ -132,17 +132,7 @@ class Renderer:
         transports: int | None = None,
         is_refined: bool = True,
     ) -> Iterator[Image]:
-        """Yield the images of `render`, each as soon as it is finished.
-
-        Args:
-            scene: See `render`.
-            resolution: See `render`.
-            cameras: See `render`.
-            light_samples: See `render`.
-            supersampling: See `render`.
-            transports: See `render`.
-            is_refined: Whether images pass through the refinement, if there is one.
-        """
+        """Yield the images of `render`, each as soon as it is finished, with or without the refinement."""
         packed = pack(scene) if cameras is None else pack(scene).seen_by(cameras)
         plan = self.planned(packed, resolution, light_samples, supersampling, transports)
         return self._checked(plan.scene, self.engine.views(plan, is_refined=is_refined))
@@ -152,13 +142,8 @@ class Renderer:
     ) -> dict[str, Float[np.ndarray, "v h w 3"]]:
         """Return the unrefined images of each light alone, by the name of its object; they add up to the whole.
 
-        Weighted sums of them are the images with lights dimmed, switched off or colored. `refined` makes of their sum
-        what `render` returns.
-
-        Args:
-            scene: See `render`.
-            resolution: See `render`.
-            **sampling: See `render`.
+        Weighted sums of them are the images with lights dimmed, switched off or colored. `refined` turns such a sum
+        into the image that `render` returns. Arguments are those of `render`.
 
         Raises:
             UserError: As for `render`, and for a model that is not linear in lights.
@@ -171,12 +156,9 @@ class Renderer:
     def render_bounces(
         self, scene: Scene | PackedScene, resolution: int | tuple[int, int] | None = None, **sampling: int | None
     ) -> Float[np.ndarray, "n v h w 3"]:
-        """Return the unrefined light that arrives after one reflection, after two, …; they add up to the whole.
+        """Return the unrefined light after one reflection, after two, …; they add up to the whole.
 
-        Args:
-            scene: See `render`.
-            resolution: See `render`.
-            **sampling: See `render`.
+        Arguments are those of `render`.
 
         Raises:
             UserError: As for `render`, and for a model that is not linear in bounces.
@@ -188,12 +170,7 @@ class Renderer:
     def refined(
         self, radiance: Float[np.ndarray, "v h w 3"], scene: PackedScene, supersampling: int = 2
     ) -> Float[np.ndarray, "v h w 3"]:
-        """Return sums of single lights or bounces after the refinement.
-
-        Args:
-            radiance: Linear radiance seen by each of the scene's cameras.
-            scene: The scene.
-            supersampling: See `render`.
+        """Return sums of single lights or bounces, as seen by each of the scene's cameras, after the refinement.
 
         Raises:
             UserError: For a model that is not linear in lights.

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import reprlib
 import warnings
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from functools import cached_property
 from typing import Annotated, Any, ClassVar, Literal
 
@@ -158,6 +158,10 @@ class SceneObject(Strict):
         if self.face_material is None:
             return None
         return self.face_material[has_area(self.transform.apply(self.mesh))].astype(np.float32)
+
+    def __iter__(self) -> Iterator[tuple[str, Any]]:
+        """Yield fields only, so that `dict(item)` is valid input; pydantic would include cached properties."""
+        return ((name, getattr(self, name)) for name in type(self).model_fields)
 
     def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> SceneObject:
         """Copy the object with changes, without its cached properties, which pydantic copies."""

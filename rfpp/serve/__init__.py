@@ -1,1 +1,1 @@
-"""Renders for programs on this machine, over HTTP: what Blender's add-on asks."""
+"""Rendering for other programs on this machine over HTTP: server and Blender add-on."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float, UInt8
@@ -18,88 +17,64 @@ from rfpp.scene.packed import PackedScene
 
 Picture = UInt8[np.ndarray, "h w 3"]
 Size = tuple[int, int]
-#: Sampling of frames in motion: faster, with more noise and rougher outlines.
+#: Sampling of drafts: faster, with more noise and rougher outlines.
 _DRAFT = {"light_samples": 1, "supersampling": 1}
 
 
 class Layer(ABC):
-    """A kind of picture, of a scene with one camera."""
+    """A kind of picture."""
+
+    #: Whether drafts are faster than pictures.
+    has_drafts = False
 
     @abstractmethod
-    def picture(self, scene: PackedScene, size: Size, tone_map: ToneMap) -> Picture:
-        """(height, width) pixels."""
+    def picture(self, scene: PackedScene, size: Size, tone_map: ToneMap, is_draft: bool = False) -> Picture:
+        """Return the picture of a scene with one camera in (height, width) pixels."""
 
-    def at_once(self, scene: PackedScene, size: Size) -> bool:
-        """Whether `picture` has nothing to compute but sums."""
+    def is_instant(self, scene: PackedScene, size: Size) -> bool:
+        """Return whether `picture` needs no rendering."""
         return False
 
-    @property
-    def in_motion(self) -> Layer:
-        """The same in a faster way, for pictures that are over at once; itself where there is none."""
-        return self
+
+class Image(Layer):
+    """The rendered image after some transport iterations, or the usual number."""
+
+    def __init__(self, renderer: Renderer, transports: int | None = None):
+        self._renderer, self._transports = renderer, transports
+        self.has_drafts = renderer.engine.supersamples
+
+    def picture(self, scene: PackedScene, size: Size, tone_map: ToneMap, is_draft: bool = False) -> Picture:
+        sampling = _DRAFT if is_draft and self.has_drafts else {}
+        return tone_map(next(self._renderer.views(scene, size, transports=self._transports, **sampling)))
 
 
-@dataclass(frozen=True)
-class Rendered(Layer):
-    """The rendered image.
+class MixedLights(Layer):
+    """The rendered image of a model that is linear in lights, which change without rendering again."""
 
-    Attributes:
-        renderer: Renderer of the image.
-        transports: Transport iterations; None for the usual number.
-        is_draft: Whether to use fewer samples.
-    """
+    has_drafts = True
 
-    renderer: Renderer
-    transports: int | None = None
-    is_draft: bool = False
+    def __init__(self, renderer: Renderer):
+        self._mixer = LightMixer(renderer)
 
-    def picture(self, scene: PackedScene, size: Size, tone_map: ToneMap) -> Picture:
-        [radiance] = self.renderer.views(scene, size, transports=self.transports, **(_DRAFT if self.is_draft else {}))
-        return tone_map(radiance)
+    def picture(self, scene: PackedScene, size: Size, tone_map: ToneMap, is_draft: bool = False) -> Picture:
+        return tone_map(self._mixer.image(scene, size, **(_DRAFT if is_draft else {})))
 
-    @property
-    def in_motion(self) -> Rendered:
-        return replace(self, is_draft=self.renderer.engine.supersamples)
+    def is_instant(self, scene: PackedScene, size: Size) -> bool:
+        return self._mixer.is_separated(scene, size)
 
 
-@dataclass(frozen=True)
-class Mixed(Layer):
-    """The rendered image of a model that is linear in lights, which are dimmed and colored without rendering again.
-
-    Attributes:
-        mixer: Renderer of single lights.
-        is_draft: See `Rendered`.
-    """
-
-    mixer: LightMixer
-    is_draft: bool = False
-
-    def picture(self, scene: PackedScene, size: Size, tone_map: ToneMap) -> Picture:
-        return tone_map(self.mixer.image(scene, size, **(_DRAFT if self.is_draft else {})))
-
-    @property
-    def in_motion(self) -> Mixed:
-        return replace(self, is_draft=True)
-
-    def at_once(self, scene: PackedScene, size: Size) -> bool:
-        return self.mixer.ready(scene, size)
-
-
-@dataclass(frozen=True)
 class Channel(Layer):
-    """A G-buffer."""
+    """A channel of the G-buffer."""
 
-    name: str
-    source: GBufferSource
-    light_samples: int = 16
+    def __init__(self, name: str):
+        self._name, self._source = name, GBufferSource([name])
 
-    def picture(self, scene: PackedScene, size: Size, tone_map: ToneMap) -> Picture:
-        return channel_picture(self.source.of(scene, *size, self.light_samples)(0), self.name, tone_map)
+    def picture(self, scene: PackedScene, size: Size, tone_map: ToneMap, is_draft: bool = False) -> Picture:
+        return _colored(np.moveaxis(self._source.of(scene, *size, 16)(0), 0, -1), self._name, tone_map)
 
 
-def channel_picture(values: Float[np.ndarray, "c h w"], name: str, tone_map: ToneMap) -> Picture:
-    """Return vectors as colors and numbers in false colors; depth relative to the farthest point."""
-    pixels = np.moveaxis(values, 0, -1)
+def _colored(pixels: Float[np.ndarray, "h w c"], name: str, tone_map: ToneMap) -> Picture:
+    """Return vectors as colors and numbers in false colors, depth relative to the farthest point."""
     if name in COLOR_CHANNELS:
         return tone_map(pixels)
     if CHANNELS[name] == 1:
@@ -110,10 +85,9 @@ def channel_picture(values: Float[np.ndarray, "c h w"], name: str, tone_map: Ton
 
 def layers_of(renderer: Renderer) -> dict[str, Layer]:
     """Return the layers by their names in the viewer."""
-    transports = renderer.engine.iterations
-    image = Mixed(LightMixer(renderer)) if renderer.engine.is_linear else Rendered(renderer)
+    transports = range(renderer.engine.iterations + 1) if renderer.engine.iterations else ()
     return (
-        {"image": image}
-        | {f"light after {k} transports": Rendered(renderer, k) for k in range(transports + 1) if transports}
-        | {name.replace("_", " "): Channel(name, GBufferSource([name])) for name in CHANNELS}
+        {"image": MixedLights(renderer) if renderer.engine.is_linear else Image(renderer)}
+        | {f"light after {k} transports": Image(renderer, k) for k in transports}
+        | {name.replace("_", " "): Channel(name) for name in CHANNELS}
     )

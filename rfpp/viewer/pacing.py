@@ -1,4 +1,4 @@
-"""Choose the interactive resolution from recent frame times."""
+"""Choose the resolution of a moving view from recent frame times."""
 
 from __future__ import annotations
 
@@ -6,42 +6,31 @@ import math
 
 #: Pixels along the longer side of the smallest image.
 _SMALLEST = 64
-#: Weight of the newest image in the estimate.
-_NEW = 0.5
 
 
 class Pacing:
-    """Chooses the resolution while the camera moves from what images took before.
-
-    Args:
-        patch: both sides of an image are multiples of it.
-        seconds: an image in motion may take.
-    """
+    """Resolutions in multiples of `patch`; images in motion should take `seconds`."""
 
     def __init__(self, patch: int, seconds: float | int):
         self.patch, self.seconds = patch, seconds
         self._per_pixel: float | None = None
 
     def size(self, longer_side: int, aspect: float) -> tuple[int, int]:
-        """(height, width) at rest.
-
-        Args:
-            longer_side: pixels.
-            aspect: width / height of the window.
-        """
+        """Return (height, width) at rest for a window whose width / height is `aspect`."""
         sides = (longer_side / aspect, longer_side) if aspect > 1 else (longer_side, longer_side * aspect)
         height, width = (max(self.patch, self.patch * round(side / self.patch)) for side in sides)
         return height, width
 
     def moving_size(self, longer_side: int, aspect: float) -> tuple[int, int]:
-        """(height, width) that should take no longer than an image in motion may."""
+        """Return (height, width) that should meet the target time."""
         height, width = self.size(longer_side, aspect)
+        smallest = min(_SMALLEST, longer_side)
         if self._per_pixel is None:
-            return self.size(min(_SMALLEST, longer_side), aspect)
-        affordable = math.sqrt(self.seconds / (self._per_pixel * height * width))
-        return self.size(max(min(_SMALLEST, longer_side), int(longer_side * min(1.0, affordable))), aspect)
+            return self.size(smallest, aspect)
+        share = math.sqrt(self.seconds / (self._per_pixel * height * width))
+        return self.size(max(smallest, int(longer_side * min(1.0, share))), aspect)
 
-    def took(self, size: tuple[int, int], seconds: float) -> None:
-        """An image was made."""
-        per_pixel = seconds / (size[0] * size[1])
-        self._per_pixel = per_pixel if self._per_pixel is None else _NEW * per_pixel + (1 - _NEW) * self._per_pixel
+    def record(self, size: tuple[int, int], seconds: float) -> None:
+        """Record the time of an image in motion."""
+        newest = seconds / (size[0] * size[1])
+        self._per_pixel = newest if self._per_pixel is None else (newest + self._per_pixel) / 2

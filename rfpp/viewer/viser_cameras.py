@@ -11,29 +11,25 @@ from rfpp.scene.camera import camera_to_world
 from rfpp.scene.packed import PackedScene
 from rfpp.scene.spec import Camera, Scene
 
-#: Layer until the browser has told its size.
-_SQUARE = 1.0
-
 
 def cameras_of(scene: Scene | PackedScene) -> tuple[Camera, ...]:
-    """A scene's cameras; those of a packed one turn about a point in front of them."""
+    """Return a scene's cameras; those of a packed scene look at a point in front of them."""
     if isinstance(scene, Scene):
         return scene.cameras
-    return tuple(_camera(*pose) for pose in zip(scene.c2w.astype(float), scene.fov.tolist(), strict=True))
-
-
-def _camera(c2w: np.ndarray, fov: float) -> Camera:
-    position, backward, up = c2w[:3, 3], c2w[:3, 2], c2w[:3, 1]
-    return Camera(position=tuple(position), look_at=tuple(position - backward), up=tuple(up), fov=fov)
+    poses = zip(scene.c2w[:, :3].astype(float), scene.fov.tolist(), strict=True)
+    return tuple(
+        Camera(position=tuple(c2w[:, 3]), look_at=tuple(c2w[:, 3] - c2w[:, 2]), up=tuple(c2w[:, 1]), fov=fov)
+        for c2w, fov in poses
+    )
 
 
 def aspect_of(client: viser.ClientHandle) -> float:
-    """Width / height."""
-    return client.camera.aspect or _SQUARE
+    """Return width / height of the window; 1 until the browser has sent it."""
+    return client.camera.aspect or 1.0
 
 
 def camera_of(client: viser.ClientHandle) -> Camera:
-    """Where the visitor stands. viser has the vertical field of view in radians, we the longer side's in degrees."""
+    """Return the visitor's camera: viser has the vertical angle in radians, rfpp the longer side's in degrees."""
     half = math.tan(client.camera.fov / 2) * max(1.0, aspect_of(client))
     return Camera(
         position=tuple(client.camera.position.tolist()),
@@ -43,13 +39,13 @@ def camera_of(client: viser.ClientHandle) -> Camera:
     )
 
 
-def stand_at(client: viser.ClientHandle, camera: Camera, centre: tuple[float, float, float]) -> None:
-    """Put the visitor where a camera of the scene is, so that they see at least its square picture.
+def move_to(client: viser.ClientHandle, camera: Camera) -> None:
+    """Move the visitor to a camera, so that its square image fits into the window.
 
-    They turn about the point in front of it that is nearest to `centre`.
+    The visitor then orbits the point in front of the camera that is nearest to the origin, the center of all scenes.
     """
     forward = -camera_to_world(camera)[:3, 2]
-    distance = max(0.1, float(np.subtract(centre, camera.position) @ forward))
+    distance = max(0.1, float(-np.array(camera.position) @ forward))
     half = math.tan(math.radians(camera.fov) / 2) / min(1.0, aspect_of(client))
     with client.atomic():
         client.camera.up_direction = camera.up

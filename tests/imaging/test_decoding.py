@@ -1,4 +1,4 @@
-"""Pictures back to radiance."""
+"""Radiance from image files."""
 
 import numpy as np
 import pytest
@@ -10,28 +10,32 @@ from rfpp.imaging.exr import write_exr
 from rfpp.imaging.panels import tone_mapped
 
 
-def test_exr_is_read_as_it_is_and_what_is_no_number_is_not_known(tmp_path):
+def test_exr_is_read_unchanged_and_invalid_pixels_are_masked(tmp_path):
     image = np.random.default_rng(0).exponential(size=(4, 6, 3)).astype(np.float32)
     image[0, 0, 1], image[1, 1] = np.nan, 70000
-    radiance, known = read_radiance(write_exr(tmp_path / "a.exr", {"RGB": image}))
-    assert not known[0, 0] and known.sum() == 23
-    np.testing.assert_array_equal(radiance[known], image[known])
+    radiance, valid = read_radiance(write_exr(tmp_path / "a.exr", {"RGB": image}))
+    assert not valid[0, 0] and valid.sum() == 23
+    np.testing.assert_array_equal(radiance[valid], image[valid])
 
 
 @pytest.mark.parametrize("stops", [0.0, 2.0])
-def test_eight_bits_lose_their_curve_and_what_is_clipped_is_not_known(tmp_path, stops):
+def test_8_bits_are_linearized_and_clipped_pixels_are_masked(tmp_path, stops):
     image = np.linspace(0, 2, 4 * 6 * 3, dtype=np.float32).reshape(4, 6, 3) * 2.0**-stops
     Image.fromarray(tone_mapped(image, stops)).save(tmp_path / "a.png")
-    radiance, known = read_radiance(tmp_path / "a.png", stops)
-    shown = image.max(-1) * 2.0**stops
-    assert known[shown < 0.98].all() and not known[shown > 1].any()
-    np.testing.assert_allclose(radiance[known], image[known], atol=0.006 * 2.0**-stops)
+    radiance, valid = read_radiance(tmp_path / "a.png", stops)
+    displayed = image.max(-1) * 2.0**stops
+    assert valid[displayed < 0.98].all() and not valid[displayed > 1].any()
+    np.testing.assert_allclose(radiance[valid], image[valid], atol=0.006 * 2.0**-stops)
 
 
-def test_what_is_no_picture_is_one_line(tmp_path):
+def test_other_files_are_refused_in_one_line(tmp_path):
     (tmp_path / "a.png").write_bytes(b"nothing")
     write_exr(tmp_path / "depth.exr", {"depth.Z": np.zeros((2, 2), np.float32)})
-    for name, message in {"a.png": "no picture", "gone.png": "No such file", "depth.exr": "has no layer RGB"}.items():
+    for name, message in {
+        "a.png": "not a readable picture",
+        "gone.png": "No such file",
+        "depth.exr": "has no layer RGB",
+    }.items():
         with pytest.raises(UserError, match=message) as refused:
             read_radiance(tmp_path / name)
         assert name in str(refused.value) and "\n" not in str(refused.value)

@@ -1,3 +1,5 @@
+"""OpenEXR files: exact round trips, and one clear error for damaged ones."""
+
 import errno
 import os
 
@@ -38,12 +40,12 @@ def test_round_trip_is_bit_exact_and_keeps_dtypes(layers):
         assert layers[name] is not decoded[name] and isinstance(layers[name], np.ndarray), "the input was changed"
 
 
-def test_a_transposed_image_is_written_as_it_looks(layers):
+def test_a_transposed_image_round_trips(layers):
     transposed = layers["RGB"].transpose(1, 0, 2)
     np.testing.assert_array_equal(decode_exr(encode_exr({"RGB": transposed}))["RGB"], transposed)
 
 
-def test_attributes_travel_with_the_image(layers):
+def test_attributes_round_trip(layers):
     data = encode_exr(layers, {"settings": "samples: 16\nseed: 0"})
     assert exr_attributes(data)["settings"] == "samples: 16\nseed: 0"
 
@@ -58,7 +60,7 @@ def test_attributes_travel_with_the_image(layers):
         {"RGB": np.zeros((4, 4, 3), np.float16), "depth": np.zeros((4, 5), np.float32)},
     ],
 )
-def test_what_the_format_cannot_hold_is_refused(bad):
+def test_unsupported_shapes_and_types_are_refused(bad):
     with pytest.raises(ValueError, match="layer"):
         encode_exr(bad)
 
@@ -78,7 +80,7 @@ def test_damaged_pixels_are_an_error():
         decode_exr(bytes(data))
 
 
-def test_files_round_trip_and_leave_nothing_else(layers, tmp_path):
+def test_files_round_trip_without_temporary_files(layers, tmp_path):
     path = write_exr(tmp_path / "new" / "view.exr", layers)
     np.testing.assert_array_equal(read_exr(path)["RGB"], layers["RGB"])
     assert [p.name for p in path.parent.iterdir()] == ["view.exr"]
@@ -87,6 +89,12 @@ def test_files_round_trip_and_leave_nothing_else(layers, tmp_path):
 def test_a_missing_file_is_named(tmp_path):
     with pytest.raises(ImageFileError, match="absent.exr"):
         read_exr(tmp_path / "absent.exr")
+
+
+def test_values_beyond_half_floats_stay_in_single_precision():
+    usual, bright = np.full((2, 2, 3), 3.0, np.float32), np.full((2, 2, 3), 2 * HALF_MAX, np.float32)
+    assert compact(usual).dtype == np.float16
+    np.testing.assert_array_equal(compact(bright), bright)
 
 
 def test_a_full_disk_names_the_path_and_keeps_the_old_file(layers, tmp_path, monkeypatch):
@@ -100,9 +108,3 @@ def test_a_full_disk_names_the_path_and_keeps_the_old_file(layers, tmp_path, mon
         write_exr(path, {"RGB": layers["RGB"] * 2})
     np.testing.assert_array_equal(read_exr(path)["RGB"], layers["RGB"])
     assert [p.name for p in tmp_path.iterdir()] == ["view.exr"]
-
-
-def test_what_half_floats_do_not_hold_is_kept_in_single_precision():
-    usual, bright = np.full((2, 2, 3), 3.0, np.float32), np.full((2, 2, 3), 2 * HALF_MAX, np.float32)
-    assert compact(usual).dtype == np.float16
-    np.testing.assert_array_equal(compact(bright), bright)

@@ -1,4 +1,4 @@
-"""Films: every frame is rendered once, is what the renderer gives for it, and is kept while nothing changes."""
+"""Animations: frames equal the renderer's images, and only missing or changed frames are rendered."""
 
 import dataclasses
 
@@ -12,7 +12,7 @@ from rfpp import Renderer
 from rfpp.errors import UserError
 from rfpp.imaging.exr import read_exr
 from rfpp.imaging.tone_maps import SRGB
-from rfpp.inference.animation import Film
+from rfpp.inference.animation import Animation
 from rfpp.inference.motion.frames import Frames
 from rfpp.reference.cycles import CyclesSettings
 from rfpp.scene.packed import pack
@@ -28,7 +28,7 @@ def renderer():
 
 @pytest.fixture
 def rendered(renderer, monkeypatch):
-    """Every image that the renderer makes: the poses, in calls."""
+    """Number of cameras of each call of the renderer."""
     calls = []
     views = renderer.views
 
@@ -52,31 +52,31 @@ def edits() -> Frames:
 
 
 def make(frames, folder, renderer, light_samples=4, supersampling=2) -> tuple[int, list]:
-    """How many were rendered, and what the progress bar was told."""
-    told = []
+    """Return the number of rendered frames and the calls of the progress bar."""
+    progress = []
     sampling = {"light_samples": light_samples, "supersampling": supersampling}
-    made = Film(frames, folder, SIZE).render(renderer, sampling, lambda *count: told.append(count))
-    return made, told
+    made = Animation(frames, folder, SIZE).render(renderer, sampling, lambda *count: progress.append(count))
+    return made, progress
 
 
-def test_frames_are_the_renderers_images_and_one_scene_is_encoded_once(renderer, rendered, tmp_path):
-    made, told = make(orbit(), tmp_path, renderer)
+def test_frames_equal_the_renderers_images_and_one_scene_is_rendered_at_once(renderer, rendered, tmp_path):
+    made, progress = make(orbit(), tmp_path, renderer)
     assert made == 3
     assert rendered == [3]
-    assert told == [(0, 3), (1, 3), (2, 3), (3, 3)]
+    assert progress == [(0, 3), (1, 3), (2, 3), (3, 3)]
     expected = renderer.render(pack(scene()), SIZE, light_samples=4)
     for number, image in enumerate(expected):
         stored = read_exr(tmp_path / f"{number:05d}.exr")["RGB"]
         np.testing.assert_array_equal(stored, image.astype(np.float16))
 
 
-def test_an_animated_object_is_encoded_anew_and_the_others_are_not(renderer, tmp_path):
+def test_only_animated_objects_are_encoded_again(renderer, tmp_path):
     fresh = renderer.fresh()
     make(edits(), tmp_path, fresh)
-    assert fresh.engine.objects.encoded == 6 + 1 + 1  # all; the one that moved; the light
+    assert fresh.engine.objects.encoded == 6 + 1 + 1  # all; the moved one; the light
 
 
-def test_what_is_there_is_not_rendered_again(renderer, rendered, tmp_path):
+def test_existing_frames_are_not_rendered_again(renderer, rendered, tmp_path):
     make(orbit(), tmp_path, renderer)
     times = [file.stat().st_mtime_ns for file in sorted(tmp_path.iterdir())]
     rendered.clear()
@@ -86,7 +86,7 @@ def test_what_is_there_is_not_rendered_again(renderer, rendered, tmp_path):
 
 
 @pytest.mark.parametrize("damage", ["deleted", "truncated"])
-def test_an_interrupted_film_goes_on_where_it_was(damage, renderer, rendered, tmp_path):
+def test_missing_and_damaged_frames_are_rendered(damage, renderer, rendered, tmp_path):
     make(orbit(), tmp_path, renderer)
     lost = tmp_path / "00001.exr"
     if damage == "deleted":
@@ -94,13 +94,13 @@ def test_an_interrupted_film_goes_on_where_it_was(damage, renderer, rendered, tm
     else:
         lost.write_bytes(lost.read_bytes()[:-200])
     rendered.clear()
-    made, told = make(orbit(), tmp_path, renderer)
+    made, progress = make(orbit(), tmp_path, renderer)
     assert made == sum(rendered) == 1
-    assert told == [(1, 3), (2, 3)]
+    assert progress == [(1, 3), (2, 3)]
     assert read_exr(lost)["RGB"].shape == (*SIZE, 3)
 
 
-def test_a_changed_scene_renders_what_changed(renderer, rendered, tmp_path):
+def test_changed_frames_are_rendered(renderer, rendered, tmp_path):
     make(edits(), tmp_path, renderer)
     rendered.clear()
     other = changed(
@@ -111,32 +111,32 @@ def test_a_changed_scene_renders_what_changed(renderer, rendered, tmp_path):
     assert rendered == [1]
 
 
-def test_frames_of_other_settings_or_weights_are_not_kept(renderer, tmp_path):
+def test_other_settings_and_weights_render_all_frames(renderer, tmp_path):
     make(orbit(), tmp_path, renderer)
     assert make(orbit(), tmp_path, renderer, light_samples=5)[0] == 3
     assert make(orbit(), tmp_path, Renderer(network(seed=1), checkpoint_info()), light_samples=5)[0] == 3
     assert make(orbit(), tmp_path, renderer, light_samples=5, supersampling=3)[0] == 3
-    film = Film(orbit(), tmp_path, (16, 16))
-    assert film.render(renderer, {"light_samples": 5, "supersampling": 3}, lambda *_: None) == 3
+    animation = Animation(orbit(), tmp_path, (16, 16))
+    assert animation.render(renderer, {"light_samples": 5, "supersampling": 3}, lambda *_: None) == 3
 
 
-def test_what_was_rendered_before_a_mistake_is_kept(renderer, tmp_path):
+def test_frames_before_an_error_are_kept(renderer, tmp_path):
     still, broken = pack(scene()), {}
 
     def at(number):
         if number in broken:
-            raise UserError(f"scene {number}: is broken")
+            raise UserError(f"scene {number}: invalid")
         return dataclasses.replace(still.views([number]), triangles=dataclasses.replace(still.triangles))
 
-    film = Film(Frames(3, at), tmp_path, SIZE)
+    animation = Animation(Frames(3, at), tmp_path, SIZE)
     broken[2] = True
-    with pytest.raises(UserError, match="scene 2: is broken"):
-        film.render(renderer, {"light_samples": 4, "supersampling": 2}, lambda *_: None)
+    with pytest.raises(UserError, match="scene 2: invalid"):
+        animation.render(renderer, {"light_samples": 4, "supersampling": 2}, lambda *_: None)
     assert (tmp_path / "00000.exr").is_file()
     assert make(orbit(), tmp_path, renderer)[0] == 2
 
 
-def test_references_are_kept_like_frames_and_stand_beside_the_prediction(renderer, tmp_path, monkeypatch):
+def test_references_are_resumed_and_compared(renderer, tmp_path, monkeypatch):
     traced = []
 
     def path_traced(scenes, size, settings):
@@ -145,16 +145,16 @@ def test_references_are_kept_like_frames_and_stand_beside_the_prediction(rendere
             yield renderer.render(one, size, light_samples=4), 0.1
 
     monkeypatch.setattr(rfpp.inference.animation, "path_traced", path_traced)
-    film = Film(edits(), tmp_path, SIZE)
-    film.render(renderer, {"light_samples": 4, "supersampling": 2}, lambda *_: None)
-    told = []
-    assert film.path_trace(CYCLES, lambda *count: told.append(count)) == len(traced) == 3
-    assert told[0] == (0, 3) and told[-1] == (3, 3)
-    assert film.path_trace(CYCLES, lambda *_: None) == 0
-    assert film.path_trace(dataclasses.replace(CYCLES, samples=2), lambda *_: None) == 3
+    animation = Animation(edits(), tmp_path, SIZE)
+    animation.render(renderer, {"light_samples": 4, "supersampling": 2}, lambda *_: None)
+    progress = []
+    assert animation.path_trace(CYCLES, lambda *count: progress.append(count)) == len(traced) == 3
+    assert progress[0] == (0, 3) and progress[-1] == (3, 3)
+    assert animation.path_trace(CYCLES, lambda *_: None) == 0
+    assert animation.path_trace(dataclasses.replace(CYCLES, samples=2), lambda *_: None) == 3
 
-    assert film.flicker() == 0  # the reference here is the prediction itself
-    for picture, both in zip(film.pictures(SRGB()), film.comparison(SRGB()), strict=True):
+    assert animation.flicker() == 0  # the reference here is the prediction itself
+    for picture, both in zip(animation.pictures(SRGB()), animation.comparison(SRGB()), strict=True):
         np.testing.assert_array_equal(both[:, : SIZE[1]], picture)
         np.testing.assert_array_equal(both[:, SIZE[1] : 2 * SIZE[1]], picture)
         assert both.shape == (SIZE[0], 3 * SIZE[1], 3)

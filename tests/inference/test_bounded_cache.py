@@ -1,4 +1,4 @@
-"""What is kept, and what is forgotten first."""
+"""The cache: its limit, its order, and computation by one thread."""
 
 import threading
 from concurrent.futures import ThreadPoolExecutor
@@ -8,17 +8,17 @@ import pytest
 from rfpp.inference.bounded_cache import BoundedCache
 
 
-def test_what_was_used_longest_ago_is_forgotten_first():
+def test_the_least_recently_used_value_is_discarded_first():
     cache = BoundedCache(max_bytes=10)
     for key in "ab":
         cache.put(key, key.upper(), 5)
     assert cache.get("a") == "A"
     cache.put("c", "C", 1)
     assert (cache.get("a"), cache.get("b"), cache.get("c")) == ("A", None, "C")
-    assert (len(cache), cache.bytes) == (2, 6)
+    assert cache.bytes == 6
 
 
-def test_what_is_too_large_is_not_kept_and_drives_nothing_out():
+def test_values_above_the_limit_are_not_stored():
     cache = BoundedCache(max_bytes=10)
     cache.put("a", "A", 5)
     cache.put("b", "B", 11)
@@ -29,17 +29,17 @@ def test_a_value_replaces_the_one_before_it():
     cache = BoundedCache(max_bytes=10)
     cache.put("a", "A", 8)
     cache.put("a", "B", 9)
-    assert (cache.get("a"), len(cache), cache.bytes) == ("B", 1, 9)
+    assert (cache.get("a"), cache.bytes) == ("B", 9)
 
 
-def test_what_is_there_is_not_made_again():
+def test_values_are_computed_once():
     cache, made = BoundedCache(max_bytes=10), []
     for _ in range(2):
-        assert cache.recall("a", 5, lambda: made.append(1) or "A") == "A"
+        assert cache.get_or_compute("a", 5, lambda: made.append(1) or "A") == "A"
     assert made == [1]
 
 
-def test_threads_that_want_the_same_wait_for_the_one_that_makes_it():
+def test_threads_wait_for_the_same_value_and_not_for_others():
     cache, made, go_on = BoundedCache(max_bytes=10), [], threading.Event()
 
     def slowly():
@@ -48,15 +48,15 @@ def test_threads_that_want_the_same_wait_for_the_one_that_makes_it():
         return "A"
 
     with ThreadPoolExecutor(3) as pool:
-        wanted = [pool.submit(cache.recall, "a", 5, slowly) for _ in range(3)]
-        assert cache.recall("b", 5, lambda: "B") == "B", "others do not wait"
+        wanted = [pool.submit(cache.get_or_compute, "a", 5, slowly) for _ in range(3)]
+        assert cache.get_or_compute("b", 5, lambda: "B") == "B", "others do not wait"
         go_on.set()
         assert [one.result(timeout=10) for one in wanted] == ["A"] * 3
     assert made == [1]
 
 
-def test_what_could_not_be_made_is_tried_again():
+def test_failed_computations_are_repeated():
     cache = BoundedCache(max_bytes=10)
     with pytest.raises(ZeroDivisionError):
-        cache.recall("a", 5, lambda: 1 / 0)
-    assert cache.recall("a", 5, lambda: "A") == "A"
+        cache.get_or_compute("a", 5, lambda: 1 / 0)
+    assert cache.get_or_compute("a", 5, lambda: "A") == "A"

@@ -119,14 +119,14 @@ def test_a_colour_and_a_roughness_are_found_in_an_image(ours, still):
 GREY = torch.full((3,), 0.5)
 WRONG = {
     "an object that is not there": ({"ball": {"diffuse": GREY}}, "'ball' does not exist: choose from floor, lamp"),
-    "geometry": ({"floor": {"translation": GREY}}, "with geometry as it is: choose from diffuse, specular"),
+    "geometry": ({"floor": {"translation": GREY}}, "has no gradient: choose from diffuse, specular"),
     "a number for a colour": ({"floor": {"diffuse": torch.tensor(0.5)}}, "a tensor of three numbers"),
-    "a colour for a number": ({"floor": {"roughness": GREY}}, "a tensor of one number"),
+    "a colour for a number": ({"floor": {"roughness": GREY}}, "a tensor without axes"),
     "no tensor": ({"floor": {"diffuse": (0.5, 0.5, 0.5)}}, "tuple was given"),
-    "more than all light": ({"floor": {"diffuse": 3 * GREY}}, "between 0 and 1: clamp it"),
+    "more than all light": ({"floor": {"diffuse": 3 * GREY}}, "must be between 0 and 1: clamp it"),
     "no number": ({"floor": {"roughness": torch.tensor(float("nan"))}}, "'roughness' of 'floor' is nan"),
-    "a light that goes out": ({"lamp": {"emissive": 0 * GREY}}, "what is a light stays one"),
-    "a surface that lights up": ({"floor": {"emissive": GREY}}, "what is no light becomes no light"),
+    "a light that goes out": ({"lamp": {"emissive": 0 * GREY}}, "a light cannot be switched off"),
+    "a surface that lights up": ({"floor": {"emissive": GREY}}, "other objects cannot become lights"),
 }
 
 

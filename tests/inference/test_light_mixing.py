@@ -1,4 +1,4 @@
-"""Lights that are dimmed and coloured after one rendering of each: as if the scene had been rendered again."""
+"""Mixed lights equal a new render, and each light is rendered once."""
 
 import numpy as np
 import pytest
@@ -18,14 +18,14 @@ def view(described, camera=0) -> PackedScene:
     return pack(described).seen_by([described.cameras[camera]])
 
 
-def with_lights(power: float, colour: tuple[float, float, float]) -> PackedScene:
-    tinted = lamp(1).model_copy(update={"emissive": colour})
+def with_lights(power: float, color: tuple[float, float, float]) -> PackedScene:
+    tinted = lamp(1).model_copy(update={"emissive": color})
     return view(changed(changed(scene(), "lamp", material=lamp(power)), "spot", material=tinted))
 
 
 @pytest.fixture
 def mixer(monkeypatch):
-    """One that counts the views its renderer renders, in `mixer.rendered`."""
+    """A mixer that counts rendered views in `mixer.rendered`."""
     renderer = Renderer(Radiosity(), checkpoint_info(resolution=SIZE))
     views = renderer.engine.views
     mixer = LightMixer(renderer)
@@ -43,21 +43,21 @@ def fresh(packed: PackedScene) -> np.ndarray:
     return Renderer(Radiosity(), checkpoint_info(resolution=SIZE)).render(packed, SIZE)[0]
 
 
-def test_every_setting_is_a_fresh_render_and_each_light_is_rendered_once(mixer):
+def test_mixtures_equal_new_renders_and_each_light_is_rendered_once(mixer):
     mixer.image(view(scene()), SIZE)
     assert mixer.rendered == 1
-    for power, colour in [(100, (700.0, 10.0, 0.0)), (9000, (1.0, 2.0, 3.0)), (0.1, (0.0, 0.0, 5000.0))]:
-        changed_lights = with_lights(power, colour)
+    for power, color in [(100, (700.0, 10.0, 0.0)), (9000, (1.0, 2.0, 3.0)), (0.1, (0.0, 0.0, 5000.0))]:
+        changed_lights = with_lights(power, color)
         expected = fresh(changed_lights)
         np.testing.assert_allclose(mixer.image(changed_lights, SIZE), expected, rtol=1e-3, atol=1e-4 * expected.max())
-        assert mixer.ready(changed_lights, SIZE)
+        assert mixer.is_separated(changed_lights, SIZE)
     assert mixer.rendered == 1 + 2
 
 
-def test_looking_around_renders_each_view_once(mixer):
+def test_other_views_are_rendered_as_usual(mixer):
     for camera in (0, 1, 0, 1):
         mixer.image(view(scene(), camera), SIZE)
-    assert mixer.rendered == 4 and not mixer.ready(view(scene()), SIZE)
+    assert mixer.rendered == 4 and not mixer.is_separated(view(scene()), SIZE)
 
 
 @pytest.mark.parametrize(
@@ -65,21 +65,21 @@ def test_looking_around_renders_each_view_once(mixer):
     [lambda: view(moved(scene())), lambda: view(scene(), 1), lambda: with_lights(3000, (0.0, 0.0, 0.0))],
     ids=["moved", "another camera", "a light put out"],
 )
-def test_what_is_more_than_light_is_rendered_anew(mixer, other):
+def test_other_changes_are_rendered_again(mixer, other):
     mixer.image(view(scene()), SIZE)
     mixer.image(with_lights(100, (1.0, 1.0, 1.0)), SIZE)
     before, packed = mixer.rendered, other()
-    assert not mixer.ready(packed, SIZE)
+    assert not mixer.is_separated(packed, SIZE)
     np.testing.assert_array_equal(mixer.image(packed, SIZE), fresh(packed))
     assert mixer.rendered == before + 1
 
 
-def test_a_light_of_several_colours_is_no_factor_of_a_white_one(mixer):
-    def two_coloured(power: float) -> PackedScene:
+def test_a_light_that_varies_over_its_triangles_is_not_mixed(mixer):
+    def two_colored(power: float) -> PackedScene:
         rows = np.tile(np.float32([0.5, 0.5, 0.5, 0, 0, 0, 0.5, power, power, power]), (2, 1))
         rows[1, 7] *= 2
         return view(changed(scene(), "spot", mesh=FLOOR, face_material=rows))
 
-    mixer.image(two_coloured(1.0), SIZE)
-    np.testing.assert_array_equal(mixer.image(two_coloured(2.0), SIZE), fresh(two_coloured(2.0)))
-    assert not mixer.ready(two_coloured(2.0), SIZE)
+    mixer.image(two_colored(1.0), SIZE)
+    np.testing.assert_array_equal(mixer.image(two_colored(2.0), SIZE), fresh(two_colored(2.0)))
+    assert not mixer.is_separated(two_colored(2.0), SIZE)

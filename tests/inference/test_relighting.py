@@ -1,4 +1,4 @@
-"""Lights from pictures: what was changed is found again, and what cannot be known is said."""
+"""Lights from pictures: known factors are recovered, and ambiguous ones are reported."""
 
 import numpy as np
 import pytest
@@ -8,7 +8,6 @@ from networks import checkpoint_info
 from rfpp import Renderer
 from rfpp.inference.relighting import solve_lights, with_factors
 from rfpp.radiosity.radiosity import Radiosity
-from rfpp.scene.packed import pack
 
 EVERYWHERE = np.ones((2, 8, 8), bool)
 
@@ -23,53 +22,53 @@ def mixed(layers, **factors):
     return sum(np.asarray(factors[name], np.float32) * image for name, image in layers.items())
 
 
-def test_power_and_colour_of_each_light_are_found(layers):
-    truth = {"key": [0.5, 1.0, 2.0], "fill": [3.0, 0.2, 0.0], "rim": [1.0, 1.0, 1.0]}
-    solved = solve_lights(layers, mixed(layers, **truth), EVERYWHERE, pull=0.0)
-    for name, factor in truth.items():
-        np.testing.assert_allclose(solved.factors[name], factor, atol=1e-4)
-    assert solved.before > 0.1 and solved.after < 1e-4
-    np.testing.assert_allclose(solved.images, mixed(layers, **truth), rtol=1e-3, atol=1e-4)
+def test_power_and_color_of_each_light_are_recovered(layers):
+    true = {"key": [0.5, 1.0, 2.0], "fill": [3.0, 0.2, 0.0], "rim": [1.0, 1.0, 1.0]}
+    solved = solve_lights(layers, mixed(layers, **true), EVERYWHERE)
+    for name, factor in true.items():
+        np.testing.assert_allclose(solved.factors[name], factor, atol=2e-3)
+    assert solved.before > 0.1 and solved.after < 1e-3
+    np.testing.assert_allclose(solved.images, mixed(layers, **solved.factors), rtol=1e-5)
 
 
-def test_without_colours_each_light_has_one_factor(layers):
-    solved = solve_lights(layers, mixed(layers, key=0.5, fill=2.0, rim=1.5), EVERYWHERE, colours=False, pull=0.0)
-    for name, factor in {"key": 0.5, "fill": 2.0, "rim": 1.5}.items():
-        np.testing.assert_allclose(solved.factors[name], [factor] * 3, atol=1e-4)
+def test_without_colors_each_light_has_one_factor(layers):
+    true = {"key": 0.5, "fill": 2.0, "rim": 1.5}
+    solved = solve_lights(layers, mixed(layers, **true), EVERYWHERE, with_colors=False)
+    for name, factor in true.items():
+        np.testing.assert_allclose(solved.factors[name], [factor] * 3, atol=2e-3)
 
 
-def test_no_light_takes_light_away(layers):
+def test_factors_are_never_negative(layers):
     darker = mixed(layers, key=1.0, fill=-0.5, rim=1.0).clip(0)
-    factors = solve_lights(layers, darker, EVERYWHERE, pull=0.0).factors
+    factors = solve_lights(layers, darker, EVERYWHERE).factors
     assert all((factor >= 0).all() for factor in factors.values())
     np.testing.assert_array_equal(factors["fill"], 0)
 
 
-def test_highlights_that_stand_elsewhere_turn_nothing(layers):
-    """Lamps in a mirror: bright in some pixels of the target, and in others of one light's image."""
+def test_displaced_highlights_do_not_matter(layers):
+    """Lights in a mirror: bright in some pixels of the target, and in other pixels of a light's image."""
     target, rng = mixed(layers, key=2.0, fill=0.5, rim=1.0), np.random.default_rng(1)
     target[rng.random(EVERYWHERE.shape) < 0.05] = 300
     layers["fill"][rng.random(EVERYWHERE.shape) < 0.01] = 30
-    factors = solve_lights(layers, target, EVERYWHERE, pull=0.0).factors
+    factors = solve_lights(layers, target, EVERYWHERE).factors
     for name, factor in {"key": 2.0, "fill": 0.5, "rim": 1.0}.items():
         np.testing.assert_allclose(factors[name], factor, atol=0.05)
 
 
-def test_what_does_not_count_is_not_looked_at(layers):
-    target, counts = mixed(layers, key=2.0, fill=1.0, rim=1.0), EVERYWHERE.copy()
-    target[:, :3], counts[:, :3] = np.nan, False
-    solved = solve_lights(layers, target, counts, pull=0.0)
-    np.testing.assert_allclose(solved.factors["key"], 2.0, atol=1e-4)
+def test_invalid_pixels_are_ignored(layers):
+    target, is_valid = mixed(layers, key=2.0, fill=1.0, rim=1.0), EVERYWHERE.copy()
+    target[:, :3], is_valid[:, :3] = np.nan, False
+    np.testing.assert_allclose(solve_lights(layers, target, is_valid).factors["key"], 2.0, atol=2e-3)
 
 
-def test_a_light_that_is_not_seen_stays_and_is_named(layers):
+def test_invisible_lights_keep_their_values(layers):
     layers["fill"][:] = 0
     solved = solve_lights(layers, mixed(layers, key=2.0, fill=7.0, rim=1.0), EVERYWHERE)
-    assert solved.unseen == ("fill",)
+    assert solved.invisible == ("fill",)
     np.testing.assert_array_equal(solved.factors["fill"], 1)
 
 
-def test_lights_that_cannot_be_told_apart_are_named_and_share_what_is_known(layers):
+def test_indistinguishable_lights_are_reported(layers):
     layers["rim"] = 2 * layers["key"]
     solved = solve_lights(layers, mixed(layers, key=1.0, fill=1.0, rim=2.0), EVERYWHERE)
     assert solved.alike == (("key", "rim"),)
@@ -77,11 +76,9 @@ def test_lights_that_cannot_be_told_apart_are_named_and_share_what_is_known(laye
     np.testing.assert_allclose(solved.factors["key"] + 2 * solved.factors["rim"], 5.0, rtol=1e-2)
 
 
-@pytest.mark.parametrize("form", [scene, lambda: pack(scene())], ids=["scene", "packed"])
-def test_a_scene_with_the_factors_looks_like_the_sum_with_the_factors(form):
+def test_a_scene_with_factors_looks_like_the_mixture():
     renderer = Renderer(Radiosity(), checkpoint_info(resolution=(16, 16)))
     factors = {"lamp": np.array([0.5, 1.0, 2.0]), "spot": np.array([2.0, 2.0, 0.0])}
-    apart = renderer.render_lights(form(), light_samples=4)
-    np.testing.assert_allclose(
-        renderer.render(with_factors(form(), factors), light_samples=4), mixed(apart, **factors), rtol=1e-3, atol=1e-5
-    )
+    layers = renderer.render_lights(scene(), light_samples=4)
+    rendered = renderer.render(with_factors(scene(), factors), light_samples=4)
+    np.testing.assert_allclose(rendered, mixed(layers, **factors), rtol=1e-3, atol=1e-5)

@@ -139,6 +139,7 @@ MISSED = {
     "fewer triangles": ("data", [*RENDER, "scene=data/scenes/roughness_spheres.json", "triangles=500"]),
     "a report": ("evaluation", ["launch/evaluate.py", "experiment=quickstart", "checkpoint=absent.ckpt"]),
     "the viewer": ("viewer", ["launch/view.py", "scene=data/scenes/cornell_box.json"]),
+    "the server": ("serve", ["launch/serve.py"]),
 }
 
 

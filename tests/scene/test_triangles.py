@@ -7,7 +7,7 @@ import pytest
 import trimesh
 
 from rfpp.errors import SceneError
-from rfpp.scene.mesh import Mesh
+from rfpp.scene.mesh import Mesh, normalized
 from rfpp.scene.spec import Material, Scene, SceneObject, Transform, rotation_matrix
 from rfpp.scene.triangles import DIFFUSE, EMISSION, ROUGHNESS, SPECULAR, SceneTriangles
 
@@ -123,3 +123,16 @@ def test_seed_zero_is_a_seed_and_none_is_not() -> None:
 def test_colours_per_group_follow_the_smooth_parts() -> None:
     assert len(np.unique(coloured(seed=3, kind="per-shading-group"), axis=0)) == 6
     assert len(np.unique(coloured(seed=3, kind="per-shading-group", smooth=False), axis=0)) == 48
+
+
+def test_world_meshes_are_computed_once_and_follow_changes(monkeypatch) -> None:
+    item = SceneObject(name="ball", mesh=SPHERE, material=MATERIAL)
+    computed = []
+    monkeypatch.setattr("rfpp.scene.spec.normalized", lambda mesh: computed.append(mesh) or normalized(mesh))
+    scene = Scene(objects=(item,))
+    first, again = (SceneTriangles.from_scene(scene).positions for _ in range(2))
+    assert len(computed) == 1
+    np.testing.assert_array_equal(first, again)
+    moved = item.model_copy(update={"transform": Transform(translation=(0, 0, 1))})
+    np.testing.assert_allclose(moved.world_mesh.vertices, np.add(item.world_mesh.vertices, [0, 0, 1]), atol=1e-6)
+    assert SceneObject(**dict(item)).world_mesh is not item.world_mesh

@@ -1,4 +1,4 @@
-"""The add-on's zip file."""
+"""The zip file of the add-on."""
 
 import ast
 import sys
@@ -14,7 +14,7 @@ from rfpp.serve.extension import FOLDER, write_extension
 ROOT = Path(__file__).parents[2]
 
 
-def test_it_holds_the_add_on_and_is_called_after_it(tmp_path):
+def test_the_zip_file_holds_the_add_on(tmp_path):
     path = write_extension(tmp_path / "new")
     version = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
     assert path.name == f"rfpp-{version}.zip"  # the add-on is of the package's version
@@ -25,13 +25,13 @@ def test_it_holds_the_add_on_and_is_called_after_it(tmp_path):
     assert write_extension(tmp_path / "named.zip").read_bytes() == path.read_bytes()
 
 
-def test_where_it_cannot_be_written_it_says_so(tmp_path):
+def test_an_unwritable_target_is_reported(tmp_path):
     (tmp_path / "file").touch()
     with pytest.raises(UserError, match="cannot be written"):
         write_extension(tmp_path / "file" / "here")
 
 
-def test_the_add_on_imports_only_what_blender_has():
+def test_the_add_on_imports_only_modules_of_blender():
     known = sys.stdlib_module_names | {"bpy", "gpu", "gpu_extras", "mathutils", "numpy"}
     for file in FOLDER.glob("*.py"):
         for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):

@@ -5,7 +5,7 @@ import pytest
 from camera_rays import pixel_rays
 
 from rfpp.errors import SceneError
-from rfpp.serve.image_window import Frame
+from rfpp.serve.image_window import ImageWindow
 
 
 @pytest.mark.parametrize(
@@ -18,10 +18,10 @@ from rfpp.serve.image_window import Frame
     ],
 )
 def test_pixels_look_where_the_window_has_them(edges, size):
-    frame = Frame.around(edges, size, 16)
-    assert frame.size[0] % 16 == 0 and frame.size[1] % 16 == 0
-    _, directions = pixel_rays(np.eye(4, dtype=np.float32), frame.fov, *frame.size)
-    cut = frame.cut(directions / -directions[..., 2:])
+    window = ImageWindow.around(edges, size, 16)
+    assert window.image_size[0] % 16 == 0 and window.image_size[1] % 16 == 0
+    _, directions = pixel_rays(np.eye(4, dtype=np.float32), window.fov, *window.image_size)
+    cut = window.crop(directions / -directions[..., 2:])
     assert cut.shape[:2] == size
     left, right, bottom, top = edges
     pitch = (right - left) / size[1]
@@ -30,26 +30,26 @@ def test_pixels_look_where_the_window_has_them(edges, size):
 
 
 def test_an_odd_number_of_pixels_is_off_by_half_of_one():
-    frame = Frame.around((-0.5, 0.5, -0.3, 0.3), (63, 105), 8)
-    _, directions = pixel_rays(np.eye(4, dtype=np.float32), frame.fov, *frame.size)
-    middle = frame.cut(directions / -directions[..., 2:])[31, 52, :2]
+    window = ImageWindow.around((-0.5, 0.5, -0.3, 0.3), (63, 105), 8)
+    _, directions = pixel_rays(np.eye(4, dtype=np.float32), window.fov, *window.image_size)
+    middle = window.crop(directions / -directions[..., 2:])[31, 52, :2]
     np.testing.assert_allclose(np.abs(middle), 0.5 / 105, atol=1e-5)
 
 
 def test_no_larger_than_it_needs_to_be():
-    assert Frame.around((-0.5, 0.5, -0.5, 0.5), (64, 64), 8).size == (64, 64)
+    assert ImageWindow.around((-0.5, 0.5, -0.5, 0.5), (64, 64), 8).image_size == (64, 64)
 
 
 @pytest.mark.parametrize(
     ("edges", "size", "why"),
     [
-        ((0.5, -0.5, -0.5, 0.5), (8, 8), "encloses nothing"),
-        ((-0.5, 0.5, 0.5, 0.5), (8, 8), "encloses nothing"),
+        ((0.5, -0.5, -0.5, 0.5), (8, 8), "is empty"),
+        ((-0.5, 0.5, 0.5, 0.5), (8, 8), "is empty"),
         ((-0.5, 0.5, -0.25, 0.25), (8, 8), "not square"),
-        ((100.0, 100.1, -0.05, 0.05), (64, 64), "too far off the middle"),
+        ((100.0, 100.1, -0.05, 0.05), (64, 64), "too far off center"),
         ((-1e-9, 1e-9, -1e-9, 1e-9 + 900), (1, 16384), "not square"),
     ],
 )
 def test_others_are_refused(edges, size, why):
     with pytest.raises(SceneError, match=why):
-        Frame.around(edges, size, 8)
+        ImageWindow.around(edges, size, 8)

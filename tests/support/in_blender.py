@@ -1,6 +1,6 @@
-"""What tests of the add-on have Blender do, as a new user: install the zip file, make a scene, render it.
+"""Run by tests of the add-on inside Blender: install the zip file, create a scene, render it.
 
-Run as a program of its own: `in_blender.py <zip> <server> <function> <arguments>`. Imports nothing of ours.
+`in_blender.py <zip> <server> <function> <arguments>`; imports nothing of this project.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ def main(extension: str, server: str, function: str, *arguments: str) -> None:
 
 
 def render_and_export(picture: str, gltf: str) -> None:
-    """The same scene through the add-on and through a file."""
+    """Render a scene through the add-on, and export it to a file."""
     furnished()
     rendered(picture)
     bpy.ops.export_scene.gltf(filepath=gltf, export_cameras=True, export_lights=True, export_apply=True)
 
 
 def render_parts(whole: str, shifted: str, part: str) -> None:
-    """A picture; the same through a shifted lens that looks elsewhere; some of it."""
+    """Render a picture, the same through a shifted lens, and a region of it."""
     scene = furnished()
     rendered(whole)
     camera = scene.camera.data
@@ -52,8 +52,8 @@ def render_transparent(picture: str) -> None:
     rendered(picture)
 
 
-def render_what_cannot_be(picture: str) -> None:
-    """Some of everything that is left out."""
+def render_unsupported(picture: str) -> None:
+    """Render some of everything that the add-on warns of."""
     scene = furnished()
     world = bpy.data.worlds.new("Sky")
     world.use_nodes = True
@@ -79,8 +79,8 @@ def render_what_cannot_be(picture: str) -> None:
     rendered(picture)
 
 
-def refuse(picture: str) -> None:
-    """Through a camera that has no perspective."""
+def render_orthographic(picture: str) -> None:
+    """Render through a camera without perspective."""
     furnished().camera.data.type = "ORTHO"
     try:
         rendered(picture)
@@ -88,22 +88,16 @@ def refuse(picture: str) -> None:
         print(f"refused: {error}")
 
 
-def ask_for_nothing() -> None:
-    """Where no server is."""
+def render_without_server() -> None:
     furnished()
     try:
         bpy.ops.render.render()
     except RuntimeError as error:
         print(f"refused: {error}")
-    try:
-        bpy.ops.rfpp.test_server()
-    except RuntimeError as error:
-        print(f"refused: {error}")
 
 
-def test_and_disable() -> None:
-    """What is left after the add-on."""
-    bpy.ops.rfpp.test_server()
+def disable() -> None:
+    """Disable the add-on, list its traces, and enable it again."""
     bpy.ops.preferences.addon_disable(module=MODULE)
     panels = [panel for panel in bpy.types.Panel.__subclasses__() if panel.is_registered]
     left = [panel.__name__ for panel in panels if "RFPP" in getattr(panel, "COMPAT_ENGINES", ())]
@@ -113,7 +107,7 @@ def test_and_disable() -> None:
 
 
 def area_in_cycles(shape: str, picture: str, sent: str) -> None:
-    """A floor under an area light, as Cycles renders it, and what is sent of it."""
+    """Render a floor under an area light in Cycles, and export it as the add-on does."""
     scene = bpy.context.scene
     floor(6.0)
     area_light(shape, scene)
@@ -129,7 +123,7 @@ def area_in_cycles(shape: str, picture: str, sent: str) -> None:
 
 
 def render_beside_cycles(picture: str, cycles: str, width: str = "96", height: str = "64") -> None:
-    """With walls behind, so that light is thrown back; without the spot, which shines more widely in ours."""
+    """Render with walls that reflect light, and without the spot, which is wider in rfpp, in both engines."""
     scene = furnished()
     bpy.data.objects.remove(bpy.data.objects["Spot"])
     for place, turn in (((0, 2, 2), (math.pi / 2, 0, 0)), ((-2, 0, 2), (math.pi / 2, 0, math.pi / 2))):
@@ -144,10 +138,10 @@ def render_beside_cycles(picture: str, cycles: str, width: str = "96", height: s
 
 
 def look_in_a_viewport(picture: str) -> None:
-    """What a viewport asks for while its camera moves, without a window to draw it in."""
-    scene, engine = furnished(), importlib.import_module(f"{MODULE}.engine")
+    """Request the pictures of a viewport while its camera moves, without drawing them."""
+    scene, module = furnished(), importlib.import_module(f"{MODULE}.viewport")
     scene.rfpp.viewport_pixels, depsgraph = 96, bpy.context.evaluated_depsgraph_get()
-    viewport = engine.Viewport()
+    viewport = module.Viewport()
     viewport.update(depsgraph)
     looks = scene.camera.calc_matrix_camera(depsgraph, x=960, y=540)
     region = SimpleNamespace(is_perspective=True, window_matrix=looks)
@@ -166,7 +160,7 @@ def look_in_a_viewport(picture: str) -> None:
 
 
 def furnished():
-    """A floor with a picture, a shiny ball, a head of two materials under a modifier, two lights and a camera."""
+    """Create a textured floor, a glossy ball, a head of two materials with a modifier, two lights and a camera."""
     scene = bpy.context.scene
     floor(4.0)
     bpy.ops.mesh.primitive_uv_sphere_add(radius=0.5, location=(0.7, 0.2, 0.5), segments=24, ring_count=12)
@@ -177,10 +171,10 @@ def furnished():
     bpy.ops.mesh.primitive_monkey_add(size=0.9, location=(-0.6, 0.3, 0.5), rotation=(-0.5, 0, 0.4))
     bpy.ops.object.modifier_add(type="SUBSURF")
     modifier = bpy.context.object.modifiers[0]
-    modifier.levels = modifier.render_levels = 1  # what is exported is the viewport's, what is rendered F12's
+    modifier.levels = modifier.render_levels = 1  # exports use the viewport's, F12 uses the render's
     head = bpy.context.object.data
-    for name, colour in (("Brass", (0.8, 0.6, 0.2)), ("Blue", (0.1, 0.2, 0.8))):
-        principled(name, colour, Metallic=1.0 if name == "Brass" else 0.0)
+    for name, color in (("Brass", (0.8, 0.6, 0.2)), ("Blue", (0.1, 0.2, 0.8))):
+        principled(name, color, Metallic=1.0 if name == "Brass" else 0.0)
         head.materials.append(bpy.data.materials[name])
     head.polygons.foreach_set("material_index", np.arange(len(head.polygons)) % 2)
     for kind, place, watts in (("POINT", (1.0, -1.5, 2.5), 80.0), ("SPOT", (-1.5, -1.0, 2.5), 120.0)):
@@ -192,7 +186,7 @@ def furnished():
 
 
 def floor(size: float) -> None:
-    """With a picture on it."""
+    """Create a textured floor."""
     bpy.ops.mesh.primitive_grid_add(size=size, x_subdivisions=12, y_subdivisions=12)
     pixels = np.ones((32, 32, 4), np.float32)
     pixels[:16, :, :3], pixels[16:, :, :3] = (0.6, 0.6, 0.5), (0.3, 0.5, 0.4)
@@ -228,12 +222,12 @@ def aimed(item, place, towards) -> None:
     bpy.context.view_layer.update()
 
 
-def principled(name: str, colour, **inputs: float):
-    """A new material's shader."""
+def principled(name: str, color, **inputs: float):
+    """Create a material and return its shader."""
     material = bpy.data.materials.new(name)
     material.use_nodes = True
     shader = material.node_tree.nodes["Principled BSDF"]
-    shader.inputs["Base Color"].default_value = (*colour, 1)
+    shader.inputs["Base Color"].default_value = (*color, 1)
     for key, value in inputs.items():
         shader.inputs[key].default_value = value
     return shader
@@ -250,7 +244,7 @@ def rendered(path: str, width: int = 96, height: int = 64) -> None:
 
 
 def is_engine() -> bool:
-    """Whether Blender can be told to render with it."""
+    """Return whether Blender offers the engine."""
     try:
         bpy.context.scene.render.engine = "RFPP"
     except TypeError:

@@ -1,4 +1,4 @@
-"""A server of a small network, and a scene to send it."""
+"""A server with a small network, and a scene to send to it."""
 
 from __future__ import annotations
 
@@ -12,9 +12,8 @@ from networks import checkpoint_info, network
 
 from rfpp.inference.renderer import Renderer
 from rfpp.serve.server import PROTOCOL, Server
-from rfpp.serve.studio import Studio
 
-#: From the front, a little above; of pixels as wide as high.
+#: View from the front, slightly above, with square pixels.
 VIEW = {
     "camera_to_world": [[1, 0, 0, 0], [0, 0.2, -0.98, -6], [0, 0.98, 0.2, 1.5]],
     "window": [-0.4, 0.4, -0.3, 0.3],
@@ -26,7 +25,7 @@ VIEW = {
 
 
 def scene(x: float = 0.0, intensity: float = 683.0 * 40) -> GltfBuilder:
-    """A floor, a square that stands on it at x, and a point light."""
+    """Return a floor, an upright square at x, and a point light."""
     builder = GltfBuilder()
     floor = builder.node(builder.primitive(), scale=[4, 1, 4])
     square = builder.node(builder.primitive(), rotation=[0.70710678, 0, 0, 0.70710678], translation=[x, 0.5, 0])
@@ -39,28 +38,27 @@ def scene(x: float = 0.0, intensity: float = 683.0 * 40) -> GltfBuilder:
 
 @contextmanager
 def server(renderer: Renderer | None = None, max_bytes: int = 1 << 20) -> Iterator[Server]:
-    """On a free port."""
-    renderer = renderer or Renderer(network(), checkpoint_info())
-    with Server(Studio(renderer), "127.0.0.1", 0, max_bytes) as made:
-        yield made
+    """Run a server on a free port."""
+    with Server(renderer or Renderer(network(), checkpoint_info()), "127.0.0.1", 0, max_bytes) as started:
+        yield started
 
 
 def ask(server: Server, path: str, body: bytes | dict | None, **headers: str | None) -> tuple[int, bytes]:
-    """Status and content of the answer. A header of None is left away."""
-    connection = http.client.HTTPConnection(*server.server_address[:2], timeout=60)
+    """Return status and content of a response. A header of None is omitted."""
+    connection = http.client.HTTPConnection(*server.address, timeout=60)
     content = json.dumps(body).encode() if isinstance(body, dict) else body
     given = {"Rfpp-Protocol": str(PROTOCOL)} | {name.replace("_", "-"): value for name, value in headers.items()}
     try:
         method = "GET" if body is None else "POST"
         connection.request(method, path, content, {name: value for name, value in given.items() if value is not None})
-        answer = connection.getresponse()
-        return answer.status, answer.read()
+        response = connection.getresponse()
+        return response.status, response.read()
     finally:
         connection.close()
 
 
-def sent(server: Server, content: bytes) -> str:
-    """The name of a scene that the server takes."""
+def send(server: Server, content: bytes) -> str:
+    """Send a scene and return its name."""
     status, answer = ask(server, "/scenes", content)
     assert status == 200, answer
     return json.loads(answer)["scene"]

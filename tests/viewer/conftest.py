@@ -1,7 +1,5 @@
 """A viewer of a small scene, and a browser."""
 
-import functools
-
 import pytest
 from browser import _chromium, browser  # noqa: F401
 from edited_scenes import scene
@@ -10,10 +8,7 @@ from networks import checkpoint_info, network
 from rfpp.imaging.tone_maps import SRGB, AgX
 from rfpp.inference.renderer import Renderer
 from rfpp.reference.cycles import CyclesSettings
-from rfpp.viewer.reference import PathTracer
 from rfpp.viewer.server import Viewer
-
-TONE_MAPS = {"srgb": SRGB, "agx": AgX}
 
 
 @pytest.fixture
@@ -22,22 +17,12 @@ def renderer():
 
 
 @pytest.fixture
-def tracer():
-    made = PathTracer(_settings())
-    yield made
-    made.close()
+def cycles():
+    return CyclesSettings(4, 0.0, False, 2, 2, 2, 0.0, 0.0, True, 0.0, 0.0, 1.5, 0, 1)
 
 
 @pytest.fixture
-def viewer(renderer, tracer):
-    with Viewer(renderer, scene(), TONE_MAPS, tracer, "127.0.0.1", 0, longer_side=64, moving_seconds=10) as made:
+def viewer(renderer, cycles):
+    tone_maps = {"srgb": SRGB, "agx": AgX}
+    with Viewer(renderer, scene(), tone_maps, cycles, "127.0.0.1", 0, longer_side=64, moving_seconds=10) as made:
         yield made
-
-
-@functools.cache
-def _settings() -> CyclesSettings:
-    from hydra.utils import instantiate
-
-    from rfpp.commands import settings
-
-    return instantiate(settings("reference", "reference_settings", "preview"), samples=4)

@@ -1,17 +1,11 @@
-"""The page as people use it, in Chromium: it shows the image, controls change it, nobody disturbs another."""
+"""The page in Chromium: it shows the image, controls change it, visitors are independent."""
 
 import time
-import zipfile
-from io import BytesIO
 
 import numpy as np
 import pytest
 from browser import picture_of, requires_chromium
-from edited_scenes import scene
 from scipy.ndimage import binary_dilation, distance_transform_edt
-
-from rfpp.scene.io.loading import load_scene
-from rfpp.viewer.controls import scene_file
 
 pytestmark = requires_chromium
 
@@ -21,10 +15,10 @@ def canvas(browser) -> np.ndarray:
 
 
 def until(condition, seconds=60):
-    """What the condition gives once it is true."""
+    """Wait for a true value and return it."""
     deadline = time.monotonic() + seconds
     while not (result := condition()):
-        assert time.monotonic() < deadline, "nothing happened"
+        assert time.monotonic() < deadline, "timeout"
         time.sleep(0.2)
     return result
 
@@ -35,7 +29,7 @@ def status(browser) -> str:
 
 
 def settled(browser) -> np.ndarray:
-    """The picture once two looks at it are the same."""
+    """Return the picture once it no longer changes."""
     until(lambda: status(browser))
     before = None
     while before is None or (before != (now := canvas(browser))).any():
@@ -45,20 +39,20 @@ def settled(browser) -> np.ndarray:
 
 
 def labelled(browser, label: str, selector: str):
-    """The control of this label."""
+    """Return the control with this label."""
     rows = browser.find_elements("xpath", f"//*[normalize-space(text())='{label}']/ancestor::*[.//input][1]")
     return next(found for row in rows for found in row.find_elements("css selector", selector))
 
 
 def press(browser, label: str, key: str, times: int) -> None:
-    """Keys on the slider of this label."""
+    """Press keys on the slider with this label."""
     slider = labelled(browser, label, "[role=slider]")
     for _ in range(times):
         slider.send_keys(key)
 
 
 @pytest.fixture
-def page(viewer, browser):  # in this order: the browser looks at its console before the server is gone
+def page(viewer, browser):  # in this order: the browser checks its console before the server stops
     browser.get(viewer.url)
     until(lambda: status(browser))
     return browser
@@ -68,7 +62,7 @@ def test_the_page_shows_the_scene_and_a_slider_changes_it(page):
     from selenium.webdriver.common.keys import Keys
 
     before = settled(page)
-    assert before.std() > 5  # not one colour
+    assert before.std() > 5  # not a single color
     press(page, "Exposure (stops)", Keys.ARROW_RIGHT, 15)
     until(lambda: canvas(page).mean() > before.mean() + 5)
 
@@ -104,7 +98,7 @@ def test_an_object_is_dragged_by_its_handles(page):
     assert ((settled(page) != before).any(axis=-1) & elsewhere).any()
 
 
-def test_visitors_do_not_disturb_each_other(page, viewer):
+def test_visitors_are_independent(page, viewer):
     from selenium.webdriver.common.keys import Keys
 
     before = settled(page)
@@ -120,13 +114,3 @@ def test_visitors_do_not_disturb_each_other(page, viewer):
         page.close()
         page.switch_to.window(first)
     assert abs(canvas(page).astype(int) - before).mean() < 1
-
-
-def test_a_saved_scene_is_loaded_again(tmp_path):
-    made = scene()
-    name, content = scene_file(made, made.cameras[1])
-    with zipfile.ZipFile(BytesIO(content)) as archive:
-        archive.extractall(tmp_path)
-    again = load_scene(tmp_path / name.replace(".zip", ".json"))
-    assert [item.name for item in again.objects] == [item.name for item in made.objects]
-    assert again.cameras == (made.cameras[1],)

@@ -1,23 +1,28 @@
-"""The viewer's server, without a browser."""
+"""The viewer's server without a browser: addresses, files and references."""
 
 import tempfile
+import zipfile
+from io import BytesIO
 from pathlib import Path
 
 import pytest
 from edited_scenes import scene
+from marks import requires_blender
 
 from rfpp.errors import UserError
 from rfpp.files import is_plain_name
+from rfpp.scene.io.loading import load_scene
 from rfpp.viewer.controls import scene_file
+from rfpp.viewer.reference import path_trace
 from rfpp.viewer.server import Viewer
 
 
 @pytest.mark.parametrize(
     ("host", "port", "named"), [("127.0.0.1", 70000, "port=70000"), ("203.0.113.7", 0, "host=203")]
 )
-def test_an_address_that_is_not_ours_is_refused(renderer, tracer, host, port, named):
+def test_an_address_of_another_machine_is_refused(renderer, cycles, host, port, named):
     with pytest.raises(UserError, match=named):
-        Viewer(renderer, scene(), {}, tracer, host, port, longer_side=64, moving_seconds=1)
+        Viewer(renderer, scene(), {}, cycles, host, port, longer_side=64, moving_seconds=1)
 
 
 @pytest.mark.parametrize("name", ["../../escaped", "/tmp/escaped", "a/b", "..", "\\..\\x"])
@@ -25,5 +30,22 @@ def test_a_scene_is_saved_under_a_plain_name(name, tmp_path, monkeypatch):
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     file, content = scene_file(scene().model_copy(update={"name": name}), scene().cameras[0])
     assert is_plain_name(file) and len(content) > 100
-    assert not [path for path in tmp_path.rglob("*") if path.is_file()]  # nothing is left, nothing went elsewhere
+    assert not [path for path in tmp_path.rglob("*") if path.is_file()]  # no files remain, here or elsewhere
     assert not (tmp_path.parent / "escaped.json").exists() and not Path("/tmp/escaped.json").exists()
+
+
+def test_a_saved_scene_loads_again(tmp_path):
+    name, content = scene_file(scene(), scene().cameras[1])
+    with zipfile.ZipFile(BytesIO(content)) as archive:
+        archive.extractall(tmp_path)
+    loaded = load_scene(tmp_path / name.replace(".zip", ".json"))
+    assert [item.name for item in loaded.objects] == [item.name for item in scene().objects]
+    assert loaded.cameras == (scene().cameras[1],)
+
+
+@requires_blender
+def test_a_reference_shows_its_view(cycles):
+    reference = path_trace(scene(), scene().cameras[0], (16, 24), cycles)
+    assert reference.radiance.shape == (16, 24, 3) and reference.radiance.max() > 0
+    assert reference.shows(reference.scene, scene().cameras[0], (16, 24))
+    assert not reference.shows(reference.scene, scene().cameras[1], (16, 24))

@@ -1,4 +1,4 @@
-"""A session draws what its visitor sees now, and nothing that is over."""
+"""A session draws the newest view of its visitor, and skips outdated ones."""
 
 import queue
 import threading
@@ -13,53 +13,57 @@ from rfpp import Renderer
 from rfpp.imaging.tone_maps import SRGB
 from rfpp.radiosity.radiosity import Radiosity
 from rfpp.scene.packed import pack
-from rfpp.scene.spec import Scene
-from rfpp.viewer.comparison import Wipe
-from rfpp.viewer.edits import moved, replaced
+from rfpp.viewer.edits import with_object, with_transform
 from rfpp.viewer.layers import layers_of
+from rfpp.viewer.pacing import Pacing
 from rfpp.viewer.reference import Reference
 from rfpp.viewer.session import Session, View
 
 
-def view_of(renderer, **changes) -> View:
-    made = scene()
-    layer = layers_of(renderer)["image"]
-    return View(**{"scene": made, "camera": made.cameras[0], "aspect": 1.0, "layer": layer, "tone_map": SRGB(),
-                      "longer_side": 16, **changes})  # fmt: skip
+def view_of(renderer, longer_side=16) -> View:
+    return View(scene(), scene().cameras[0], 1.0, layers_of(renderer)["image"], SRGB(), longer_side)
 
 
 @contextmanager
 def session(renderer, view, moving_seconds=100.0):
-    drawn, complaints = queue.Queue(), queue.Queue()
-    made = Session(renderer, threading.Lock(), view, drawn.put, complaints.put, moving_seconds)
+    drawn, reports = queue.Queue(), queue.Queue()
+    pacing = Pacing(renderer.engine.patch_size, moving_seconds)
+    started = Session(view, pacing, threading.Lock(), reports.put)
+    started.on_draw(drawn.put)
+    started.start()
     try:
-        yield made, drawn, complaints
+        yield started, drawn, reports
     finally:
-        made.close()
-        made._thread.join(10)
-        assert not made._thread.is_alive()
+        started.close()
+        started._thread.join(10)
+        assert not started._thread.is_alive()
 
 
 def expected(renderer, view, size=(16, 16)):
     return view.tone_map(renderer.render(pack(view.scene).seen_by([view.camera]), size)[0])
 
 
-def test_the_picture_is_the_renderers_and_follows_each_change(renderer):
+@pytest.fixture
+def radiosity():
+    return Renderer(Radiosity(), checkpoint_info(resolution=(16, 16)))
+
+
+def test_pictures_equal_the_renderers_and_follow_each_change(renderer):
     view = view_of(renderer)
     with session(renderer, view) as (visitor, drawn, _):
-        first = drawn.get(timeout=30)
-        np.testing.assert_array_equal(first.picture, expected(renderer, view))
+        np.testing.assert_array_equal(drawn.get(timeout=30).picture, expected(renderer, view))
         visitor.change(camera=view.scene.cameras[1])
         second = drawn.get(timeout=30)
         np.testing.assert_array_equal(second.picture, expected(renderer, visitor.view))
         peak = next(item for item in view.scene.objects if item.name == "peak_1")
-        visitor.change(scene=replaced(view.scene, moved(peak, translation=(0.2, 0.0, 0.1))))
+        visitor.change(scene=with_object(view.scene, with_transform(peak, translation=(0.2, 0.0, 0.1))))
         third = drawn.get(timeout=30)
+        np.testing.assert_array_equal(third.picture, expected(renderer, visitor.view))
         assert (third.picture != second.picture).any()
     assert drawn.empty()
 
 
-def test_an_image_in_motion_is_small_and_the_one_at_rest_is_not(renderer):
+def test_images_in_motion_are_small(renderer):
     view = view_of(renderer, longer_side=96)
     with session(renderer, view, moving_seconds=1e-9) as (visitor, drawn, _):
         assert [drawn.get(timeout=30).rendered for _ in range(2)] == [(64, 64), (96, 96)]
@@ -67,96 +71,90 @@ def test_an_image_in_motion_is_small_and_the_one_at_rest_is_not(renderer):
         assert [drawn.get(timeout=30).rendered for _ in range(2)] == [(64, 64), (96, 96)]
 
 
-def test_radiosity_is_a_draft_in_motion_and_in_full_at_rest():
-    linear = Renderer(Radiosity(), checkpoint_info(resolution=(16, 16)))
-    view = view_of(linear)
-    with session(linear, view) as (visitor, drawn, _):
+def test_radiosity_draws_drafts_in_motion(radiosity):
+    view = view_of(radiosity)
+    with session(radiosity, view) as (visitor, drawn, _):
         for number, camera in enumerate(view.scene.cameras[:2]):
             if number:
                 visitor.change(camera=camera)
             pictures = [drawn.get(timeout=60).picture for _ in range(2)]
-            of_camera = pack(view.scene).seen_by([camera])
-            draft = linear.render(of_camera, 16, light_samples=1, supersampling=1)[0]
+            draft = radiosity.render(pack(view.scene).seen_by([camera]), 16, light_samples=1, supersampling=1)[0]
             np.testing.assert_array_equal(pictures[0], view.tone_map(draft))
-            np.testing.assert_array_equal(pictures[1], expected(linear, visitor.view))
+            np.testing.assert_array_equal(pictures[1], expected(radiosity, visitor.view))
             assert (pictures[0] != pictures[1]).any()
     assert drawn.empty()
 
 
-def test_lights_that_change_again_are_drawn_in_full_at_once():
-    """By then there is an image of each light."""
-    linear = Renderer(Radiosity(), checkpoint_info(resolution=(16, 16)))
-    view = view_of(linear, longer_side=96)
-
-    def dimmer(power: float) -> Scene:
-        return changed(view.scene, "lamp", material=lamp(power))
-
-    with session(linear, view, moving_seconds=1e-9) as (visitor, drawn, _):
+def test_separated_lights_are_drawn_in_full_at_once(radiosity):
+    view = view_of(radiosity, longer_side=96)
+    with session(radiosity, view, moving_seconds=1e-9) as (visitor, drawn, _):
         assert [drawn.get(timeout=60).rendered for _ in range(2)] == [(64, 64), (96, 96)]
-        visitor.change(scene=dimmer(2000))
+        visitor.change(scene=changed(view.scene, "lamp", material=lamp(2000)))
         assert [drawn.get(timeout=60).rendered for _ in range(2)] == [(64, 64), (96, 96)]
         for power in (100, 5000):
-            visitor.change(scene=dimmer(power))
+            visitor.change(scene=changed(view.scene, "lamp", material=lamp(power)))
             mixed = drawn.get(timeout=60)
             assert mixed.rendered == (96, 96)
-            difference = np.abs(mixed.picture.astype(int) - expected(linear, visitor.view, (96, 96)))
-            assert difference.max() <= 1
+            assert np.abs(mixed.picture.astype(int) - expected(radiosity, visitor.view, (96, 96))).max() <= 1
     assert drawn.empty()
 
 
-def test_views_that_are_over_are_not_drawn(renderer):
+def test_outdated_views_are_skipped(renderer):
     view = view_of(renderer)
     with session(renderer, view) as (visitor, drawn, _):
         drawn.get(timeout=30)
-        with visitor._turn:  # someone else is being served meanwhile
+        with visitor._lock:  # another visitor's picture is being rendered
             for x in np.linspace(0.1, 1, 50):
                 visitor.change(camera=view.camera.model_copy(update={"position": (x, -1.2, 0.8)}))
         pictures = [drawn.get(timeout=30)]
-        while len(pictures) < 2:  # one may have been waiting for its turn
+        while len(pictures) < 2:  # one view may have been waiting for the lock
             try:
                 pictures.append(drawn.get(timeout=1))
             except queue.Empty:
                 break
         np.testing.assert_array_equal(pictures[-1].picture, expected(renderer, visitor.view))
+        assert drawn.empty()
 
 
-def test_what_cannot_be_drawn_is_told_and_the_session_goes_on(renderer):
+def test_errors_are_reported_and_the_session_continues(renderer):
     view = view_of(renderer)
     peak = next(item for item in view.scene.objects if item.name == "peak_1")
-    with session(renderer, view) as (visitor, drawn, complaints):
+    with session(renderer, view) as (visitor, drawn, reports):
         drawn.get(timeout=30)
-        visitor.change(scene=replaced(view.scene, moved(peak, scale=(0.0, 0.0, 0.0))))
-        assert "peak_1" in complaints.get(timeout=30)
+        visitor.change(scene=with_object(view.scene, with_transform(peak, scale=(0.0, 0.0, 0.0))))
+        assert "peak_1" in reports.get(timeout=30)
         visitor.change(scene=view.scene)
         np.testing.assert_array_equal(drawn.get(timeout=30).picture, expected(renderer, view))
 
 
-def test_a_reference_is_compared_only_where_it_shows_this_view(renderer):
+def test_a_reference_is_shown_beside_its_own_view_only(renderer):
     view = view_of(renderer)
     white = Reference(np.ones((16, 16, 3), np.float32), 1.0, view.scene, view.camera)
     with session(renderer, view) as (visitor, drawn, _):
         drawn.get(timeout=30)
-        visitor.change(reference=white, comparison=Wipe(), share=0.25)
+        visitor.change(reference=white, share=0.25)
         compared = drawn.get(timeout=30)
-        assert compared.compared and (compared.picture[:, 5:] == 255).all()
+        assert compared.is_compared and (compared.picture[:, 4:] == 255).all()
         np.testing.assert_array_equal(compared.picture[:, :4], expected(renderer, view)[:, :4])
-        visitor.change(camera=view.scene.cameras[1])
-        assert not drawn.get(timeout=30).compared
+        for change in ({"share": 1.0}, {"share": 0.25, "camera": view.scene.cameras[1]}):
+            visitor.change(**change)
+            alone = drawn.get(timeout=30)
+            np.testing.assert_array_equal(alone.picture, expected(renderer, visitor.view))
+            assert not alone.is_compared
 
 
 @pytest.mark.parametrize(
     "name", ["light after 0 transports", "normal", "depth", "albedo", "direct diffuse", "position"]
 )
-def test_everything_that_can_be_shown_is_a_picture(renderer, name):
+def test_every_layer_is_a_picture(renderer, name):
     view = view_of(renderer)
-    packed = pack(view.scene).seen_by([view.camera])
-    picture = layers_of(renderer)[name].picture(packed, (16, 24), SRGB())
+    picture = layers_of(renderer)[name].picture(pack(view.scene).seen_by([view.camera]), (16, 24), SRGB())
     assert picture.shape == (16, 24, 3) and picture.dtype == np.uint8
     assert picture.std() > 1
 
 
 def test_light_after_all_transports_is_the_image(renderer):
     packed = pack(scene()).seen_by(scene().cameras[:1])
-    kinds = layers_of(renderer)
+    layers = layers_of(renderer)
     last = f"light after {renderer.engine.iterations} transports"
-    np.testing.assert_array_equal(*(kinds[name].picture(packed, (16, 16), SRGB()) for name in ("image", last)))
+    np.testing.assert_array_equal(*(layers[name].picture(packed, (16, 16), SRGB()) for name in ("image", last)))

@@ -1,70 +1,64 @@
-"""Curves through keys: functions of time that hold their first value before the first key and their last after it."""
+"""Curves through keys: functions of time that are constant before the first key and after the last."""
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Sequence
 
 import numpy as np
 from jaxtyping import Float
-from numpy.typing import ArrayLike
 from scipy.interpolate import CubicHermiteSpline, PchipInterpolator
 from scipy.spatial.transform import Rotation, Slerp
 
 from rfpp.errors import SceneError
 
 Times = Sequence[float | int]
-Curve = Callable[[float | int], Float[np.ndarray, "*shape"]]
+Keys = Sequence | np.ndarray
+Values = Float[np.ndarray, "*shape"]
+Curve = Callable[[float | int], Values]
 
 
-def flowing(times: Times, values: ArrayLike) -> Curve:
-    """For places: a Catmull-Rom spline, whose tangents allow for unequal times. It swings out beyond keys in bends."""
+def spline(times: Times, values: Keys) -> Curve:
+    """Return a Catmull-Rom spline for unequal times, for positions; it may overshoot."""
+    return _curve(times, values, lambda t, v: CubicHermiteSpline(t, v, np.gradient(v, t, axis=0)))
+
+
+def monotone(times: Times, values: Keys) -> Curve:
+    """Return a smooth curve between the values of neighboring keys (PCHIP), for sizes, angles and materials."""
+
+    def interpolate(times: Times, values: Values) -> Curve:
+        curve, low, high = PchipInterpolator(times, values, axis=0), values.min(axis=0), values.max(axis=0)
+        return lambda time: np.clip(curve(time), low, high)  # against rounding
+
+    return _curve(times, values, interpolate)
+
+
+def slerp(times: Times, degrees: Keys) -> Curve:
+    """Return rotations in the convention of `Transform.rotation`, about one axis from key to key.
+
+    Raises SceneError for changes of 180 degrees or more, for which the shortest rotation is not the intended one.
+    """
+
+    def interpolate(times: Times, degrees: Values) -> Curve:
+        far = np.abs(np.diff(degrees, axis=0)).max(axis=1) >= 180
+        if far.any():
+            key = int(np.argmax(far))
+            between = f"from time {times[key]:g} to {times[key + 1]:g}"
+            raise SceneError(f"rotation: an angle changes by 180 degrees or more {between}: add a key between them")
+        rotations = Slerp(times, Rotation.from_euler("xyz", degrees, degrees=True))
+
+        def angles(time: float | int) -> Float[np.ndarray, " 3"]:
+            with warnings.catch_warnings(action="ignore"):  # of gimbal lock, where any solution is correct
+                return rotations(time).as_euler("xyz", degrees=True)
+
+        return angles
+
+    return _curve(times, degrees, interpolate)
+
+
+def _curve(times: Times, values: Keys, interpolate: Callable[[Times, Values], Curve]) -> Curve:
     values = np.asarray(values, np.float64)
     if len(times) == 1:
         return lambda time: values[0]
-    return _held(CubicHermiteSpline(times, values, np.gradient(values, times, axis=0)), times)
-
-
-def bounded(times: Times, values: ArrayLike) -> Curve:
-    """For sizes, angles of view and materials: smooth, and never outside the two keys around it (PCHIP)."""
-    values = np.asarray(values, np.float64)
-    if len(times) == 1:
-        return lambda time: values[0]
-    curve, low, high = PchipInterpolator(times, values, axis=0), values.min(axis=0), values.max(axis=0)
-    return _held(lambda time: np.clip(curve(time), low, high), times)  # rounding would leave the keys' range
-
-
-def turning(times: Times, degrees: ArrayLike) -> Curve:
-    """For rotations in the convention of `Transform.rotation`: about one fixed axis from key to key, evenly (slerp).
-
-    Raises:
-        SceneError: an angle that changes by 180 degrees or more between two keys, where the shortest way that slerp
-            takes is not the one that was meant.
-    """
-    degrees = np.asarray(degrees, np.float64)
-    if len(times) == 1:
-        return lambda time: degrees[0]
-    far = np.abs(np.diff(degrees, axis=0)).max(axis=1) >= 180
-    if far.any():
-        key = int(np.argmax(far))
-        raise SceneError(
-            f"rotation: an angle changes by 180 degrees or more from time {times[key]:g} to {times[key + 1]:g}: "
-            "put a key between them"
-        )
-    rotations = Slerp(times, Rotation.from_euler("xyz", degrees, degrees=True))
-    return _held(lambda time: _angles(rotations(time)), times)
-
-
-def _angles(rotation: Rotation) -> Float[np.ndarray, " 3"]:
-    """Angles in degrees about the fixed x, y and z axes in turn.
-
-    Where y is turned by a right angle x and z turn alike, and only their sum matters: SciPy would warn of that.
-    """
-    matrix = rotation.as_matrix()
-    y = np.arcsin(np.clip(-matrix[2, 0], -1, 1))
-    if np.hypot(matrix[0, 0], matrix[1, 0]) < 1e-9:
-        return np.degrees([0.0, y, np.arctan2(-matrix[0, 1], matrix[1, 1])])
-    return np.degrees([np.arctan2(matrix[2, 1], matrix[2, 2]), y, np.arctan2(matrix[1, 0], matrix[0, 0])])
-
-
-def _held(curve: Curve, times: Times) -> Curve:
+    curve = interpolate(times, values)
     return lambda time: curve(min(max(time, times[0]), times[-1]))

@@ -1,4 +1,4 @@
-"""NumberedScenes: a film whose every frame is a scene file."""
+"""NumberedScenes: an animation with a scene file for every frame."""
 
 from __future__ import annotations
 
@@ -11,16 +11,12 @@ from rfpp.scene.io.loading import load_scene
 
 
 class NumberedScenes(Motion):
-    """The scene files of a folder in the order of the numbers at the end of their names; `scene` is the folder.
+    """The scene files of a folder, ordered by the numbers at the end of their names; `scene` is the folder.
 
-    Each file is a scene by itself: what `load_scene` fits into the unit cube is fitted frame by frame, so that a film
-    of growing or moving things is better given in a format that it takes as it is, such as JSON.
-
-    Attributes:
-        pattern: which of the folder's files are frames, as in `*.json`.
+    `load_scene` fits most formats into the unit cube, frame by frame: use JSON for scenes that grow or move.
     """
 
-    pattern: str
+    pattern: str  # of the file names, such as *.json
 
     @property
     def name(self) -> str:
@@ -28,7 +24,7 @@ class NumberedScenes(Motion):
 
     def frames_of(self, scene: Path, camera: int, load: Load = load_scene) -> Frames:
         if not scene.is_dir():
-            raise SceneError(f"{scene}: is not a folder: give the one that holds a scene file for each frame")
+            raise SceneError(f"{scene}: is not a folder: give the folder that holds a scene file per frame")
         files = self._in_order(scene)
         return Frames(len(files), lambda number: with_cameras(load(files[number]), files[number], [camera]))
 
@@ -38,12 +34,9 @@ class NumberedScenes(Motion):
             digits = re.search(r"(\d+)$", file.stem)
             if digits is None:
                 raise SceneError(f"{file}: has no number at the end of its name: rename it, or narrow motion.pattern")
-            number = int(digits[0])
-            if number in numbered:
-                raise SceneError(
-                    f"{file}: has the same number as {numbered[number].name}: rename it, or narrow motion.pattern"
-                )
-            numbered[number] = file
+            other = numbered.setdefault(int(digits[0]), file)
+            if other is not file:
+                raise SceneError(f"{file}: has the same number as {other.name}: rename it, or narrow motion.pattern")
         if not numbered:
             raise SceneError(f"{folder}: holds no file like '{self.pattern}': set motion.pattern, as in '*.glb'")
         for number in range(min(numbered), max(numbered)):

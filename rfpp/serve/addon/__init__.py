@@ -1,19 +1,18 @@
-"""rfpp as a render engine of Blender: scenes go to `rfpp serve` on this machine, pictures come back.
+"""rfpp as a render engine of Blender: sends scenes to `rfpp serve` on this machine and shows its pictures.
 
-Everything is here that runs inside Blender; a program of its own that imports nothing but
-Blender, NumPy and the standard library.
+This package runs inside Blender and imports only Blender, NumPy and the standard library.
 """
 
 from . import engine, settings_panels
 
 
 def register() -> None:
-    """Called by Blender."""
+    """Register all classes."""
     settings_panels.register()
     engine.register()
 
 
 def unregister() -> None:
-    """Called by Blender."""
+    """Unregister all classes."""
     engine.unregister()
     settings_panels.unregister()

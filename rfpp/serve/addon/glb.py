@@ -1,4 +1,4 @@
-"""Writing GLB files, array by array."""
+"""Writer of GLB files."""
 
 from __future__ import annotations
 
@@ -8,9 +8,8 @@ import zlib
 
 import numpy as np
 
-#: Of Blender's world, Z up, in that of glTF, Y up: column by column.
+#: Column-major matrix from Blender's world, Z up, to glTF's, Y up.
 Z_UP = [1, 0, 0, 0, 0, 0, -1, 0, 0, 1, 0, 0, 0, 0, 0, 1]
-
 _FLOAT, _UNSIGNED = 5126, 5125
 _TYPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3"}
 
@@ -21,18 +20,17 @@ class Glb:
     def __init__(self) -> None:
         self._chunks: list[bytes] = []
         self._length = 0
-        self._lists: dict[str, list[dict]] = {}
+        self._lists: dict[str, list[dict]] = {"nodes": []}
         self._lights: list[dict] = []
-        self._nodes: list[int] = []
 
     def add(self, kind: str, entry: dict) -> int:
-        """An entry of a list of the document, and its number."""
+        """Append an entry to a list of the document, and return its index."""
         entries = self._lists.setdefault(kind, [])
         entries.append(entry)
         return len(entries) - 1
 
     def array(self, values: np.ndarray) -> int:
-        """[n] or [n, width] of floats or indices, as an accessor."""
+        """Add floats or indices [n] or [n, width], and return the accessor."""
         is_float = values.dtype.kind == "f"
         content = np.ascontiguousarray(values, "<f4" if is_float else "<u4")
         entry = {
@@ -41,36 +39,31 @@ class Glb:
             "count": len(content),
             "type": _TYPES[content.shape[1] if content.ndim > 1 else 1],
         }
-        if entry["type"] == "VEC3":  # glTF wants them of positions
+        if entry["type"] == "VEC3":  # required for positions
             entry |= {"min": content.min(axis=0).tolist(), "max": content.max(axis=0).tolist()}
         return self.add("accessors", entry)
 
     def texture(self, png: bytes) -> int:
-        """A picture that repeats."""
+        """Add a repeating texture, and return its index."""
         image = self.add("images", {"bufferView": self._view(png), "mimeType": "image/png"})
         return self.add("textures", {"source": image})
 
     def light(self, entry: dict) -> dict:
-        """What a node with this light (KHR_lights_punctual) has as its extensions."""
+        """Add a light (KHR_lights_punctual), and return the extensions of its node."""
         self._lights.append(entry)
         return {"KHR_lights_punctual": {"light": len(self._lights) - 1}}
 
     def node(self, name: str, matrix: np.ndarray, **values: object) -> None:
-        """A node of the scene.
-
-        Args:
-            matrix: [4, 4] to Blender's world.
-            values: its mesh, camera or extensions.
-        """
+        """Add a node with its matrix [4, 4] to Blender's world, and a mesh, a camera or extensions."""
         columns = np.asarray(matrix, np.float64).T.reshape(-1).tolist()
-        self._nodes.append(self.add("nodes", {"name": name, "matrix": columns, **values}))
+        self.add("nodes", {"name": name, "matrix": columns, **values})
 
     def content(self) -> bytes:
-        """Of the file."""
-        root = {"name": "z_up", "matrix": Z_UP, "children": self._nodes}
-        nodes = [*self._lists.get("nodes", []), root]
-        document = {"asset": {"version": "2.0"}, **self._lists, "nodes": nodes}
-        document |= {"scenes": [{"nodes": [len(nodes) - 1]}], "scene": 0, "buffers": [{"byteLength": self._length}]}
+        """Return the file."""
+        nodes = self._lists["nodes"]
+        root = {"name": "z_up", "matrix": Z_UP, "children": list(range(len(nodes)))}
+        document = {"asset": {"version": "2.0"}, **self._lists, "nodes": [*nodes, root]}
+        document |= {"scenes": [{"nodes": [len(nodes)]}], "scene": 0, "buffers": [{"byteLength": self._length}]}
         if self._lights:
             document |= {"extensionsUsed": ["KHR_lights_punctual"]}
             document |= {"extensions": {"KHR_lights_punctual": {"lights": self._lights}}}
@@ -88,9 +81,9 @@ class Glb:
 
 
 def png(pixels: np.ndarray) -> bytes:
-    """An 8-bit RGBA picture [h, w, 4], row 0 at the top."""
+    """Encode 8-bit RGBA pixels [h, w, 4], row 0 at the top."""
     height, width, _ = pixels.shape
-    rows = np.zeros((height, 1 + 4 * width), np.uint8)  # each begins with its filter: none
+    rows = np.zeros((height, 1 + 4 * width), np.uint8)  # a leading 0 means no filter
     rows[:, 1:] = pixels.reshape(height, -1)
     header = struct.pack(">2I5B", width, height, 8, 6, 0, 0, 0)
     chunks = ((b"IHDR", header), (b"IDAT", zlib.compress(rows.tobytes(), 1)), (b"IEND", b""))

@@ -1,68 +1,83 @@
-"""What Blender's cameras and viewports see, as the server is asked for it."""
+"""The picture of one 3D viewport."""
 
 from __future__ import annotations
 
-import math
-
+import bpy
 import numpy as np
 
-Window = tuple[float, float, float, float]
+from .client import Server, ServerError, View
+from .newest_view import Newest
+from .scene_export import exported
+from .settings_panels import address
+from .windows import rows_of, shrunk, square_pixels, window_of
 
 
-class NoView(Exception):  # noqa: N818
-    """One line on why nothing can be shown."""
+class Viewport:
+    """Exports the scene, requests pictures of the view and draws them."""
+
+    def __init__(self) -> None:
+        self._newest: Newest | None = None
+        self._scene, self._omitted = b"", 0
+        self._textures: dict[str, bytes] = {}
+        self._drawn: tuple[np.ndarray, object] | None = None  # a picture, and its texture on the GPU
+
+    @property
+    def picture(self) -> np.ndarray | None:
+        """Newest picture [h, w, 4]."""
+        return self._newest.picture if self._newest else None
+
+    @property
+    def is_busy(self) -> bool:
+        """Whether another picture will follow."""
+        return bool(self._newest and self._newest.is_busy)
+
+    def update(self, depsgraph) -> None:
+        """Export the scene again."""
+        for change in depsgraph.updates:
+            if isinstance(change.id, bpy.types.Image):
+                self._textures.pop(change.id.name_full, None)
+        content, lines = exported(depsgraph, self._textures)
+        self._omitted = len(lines)
+        if content != self._scene:
+            self._scene = content
+
+    def want(self, context, depsgraph) -> str:
+        """Request a picture of the current view, and return a line of status."""
+        region, settings = context.region_data, depsgraph.scene.rfpp
+        if not region.is_perspective:
+            return "Orthographic views are not supported: press Numpad 5"
+        size = shrunk((context.region.height, context.region.width), settings.viewport_pixels)
+        window = square_pixels(window_of(region.window_matrix), size)
+        pose = rows_of(region.view_matrix.inverted())
+        try:
+            if self._newest is None or self._newest.server.address != address():
+                self._newest = Newest(Server(address()))
+        except ServerError as error:
+            return str(error)
+        self._newest.want(self._scene, View(pose, window, size, settings.light_samples, settings.supersampling))
+        if self._newest.error:
+            return self._newest.error
+        if self._newest.picture is None:
+            return "Rendering the first picture"
+        return f"{self._omitted} warnings: press F12 to list them" if self._omitted else ""
+
+    def draw(self, region) -> None:
+        """Draw the newest picture, enlarged to the region."""
+        import gpu
+        from gpu_extras.presets import draw_texture_2d
+
+        picture = self.picture
+        if self._drawn is None or self._drawn[0] is not picture:
+            self._drawn = picture, _texture(picture)
+        gpu.state.blend_set("ALPHA_PREMULT")
+        draw_texture_2d(self._drawn[1], (0, 0), region.width, region.height)
+        gpu.state.blend_set("NONE")
 
 
-def rows_of(matrix) -> tuple[tuple[float, ...], ...]:
-    """The first three rows of a matrix of Blender's."""
-    return tuple(tuple(float(value) for value in row) for row in list(matrix)[:3])
+def _texture(picture: np.ndarray):
+    """Return the picture on the GPU, row 0 at the bottom."""
+    import gpu  # needs a display
 
-
-def window_of(projection) -> Window:
-    """Left, right, bottom and top of what a perspective projection matrix shows, at distance 1."""
-    across, up = projection[0][0], projection[1][1]
-    left, right = ((projection[0][2] + side) / across for side in (-1, 1))
-    bottom, top = ((projection[1][2] + side) / up for side in (-1, 1))
-    return left, right, bottom, top
-
-
-def camera_window(camera, depsgraph, size: tuple[int, int]) -> Window:
-    """Of a camera object, for pictures of (height, width). Raises NoView: it has no perspective."""
-    if camera.data.type != "PERSP":
-        raise NoView(f"Camera '{camera.name}' is no perspective camera: change its Lens Type to Perspective")
-    return window_of(camera.calc_matrix_camera(depsgraph, x=size[1], y=size[0]))
-
-
-def part_of(window: Window, size: tuple[int, int], box: tuple[int, int, int, int]) -> Window:
-    """The window of the pixels from (x, y) on, counted from below, so many wide and high."""
-    left, right, bottom, top = window
-    pitch = (right - left) / size[1], (top - bottom) / size[0]
-    x, y, width, height = box
-    return left + x * pitch[0], left + (x + width) * pitch[0], bottom + y * pitch[1], bottom + (y + height) * pitch[1]
-
-
-def square_pixels(window: Window, size: tuple[int, int]) -> Window:
-    """As high as square pixels make it."""
-    left, right, bottom, top = window
-    half = (right - left) / size[1] * size[0] / 2
-    middle = (bottom + top) / 2
-    return left, right, middle - half, middle + half
-
-
-def shrunk(size: tuple[int, int], longer_side: int) -> tuple[int, int]:
-    """(height, width) with at most so many pixels along the longer side."""
-    factor = min(1.0, longer_side / max(size))
-    height, width = (max(1, round(side * factor)) for side in size)
-    return height, width
-
-
-def gltf_camera(window: Window) -> dict:
-    """As glTF has it, looking straight."""
-    left, right, bottom, top = window
-    yfov, aspect = 2 * math.atan((top - bottom) / 2), (right - left) / (top - bottom)
-    return {"type": "perspective", "perspective": {"yfov": yfov, "aspectRatio": aspect, "znear": 0.01}}
-
-
-def is_finite(matrix: np.ndarray) -> bool:
-    """Whether an object is somewhere."""
-    return bool((np.abs(matrix) < 1e15).all())
+    height, width, _ = picture.shape
+    pixels = gpu.types.Buffer("FLOAT", height * width * 4, np.ascontiguousarray(picture[::-1]).reshape(-1))
+    return gpu.types.GPUTexture((width, height), format="RGBA16F", data=pixels)

@@ -1,4 +1,4 @@
-"""The add-on as a new user meets it: installed from its zip file, with a server in a process of its own."""
+"""The add-on, installed from its zip file in Blender, with a server in a process of its own."""
 
 import os
 import re
@@ -16,13 +16,14 @@ from rfpp import Renderer
 from rfpp.imaging.exr import read_exr
 from rfpp.reference.cycles import CyclesSettings, render
 from rfpp.scene.io.loading import load_scene
-from rfpp.scene.packed import pack
+from rfpp.scene.spec import Camera
 from rfpp.serve.extension import write_extension
+from rfpp.serve.scene_renderer import ReceivedScene
 
 pytestmark = requires_blender
 
 ROOT = Path(__file__).parents[3]
-NOWHERE = "http://127.0.0.1:9"  # the port that discards; nobody listens there
+NOWHERE = "http://127.0.0.1:9"  # the discard port, on which nothing listens
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +42,7 @@ def server():
 
 @pytest.fixture(scope="module")
 def blender(tmp_path_factory):
-    """`blender(address, function, *arguments)`: what Blender prints while it does a function of `in_blender`."""
+    """`blender(address, function, *arguments)`: output of a function of `in_blender`."""
     folder = tmp_path_factory.mktemp("blender")
     extension = write_extension(folder)
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
@@ -63,11 +64,11 @@ def radiance(path: Path) -> np.ndarray:
     return next(layer for layer in read_exr(path).values() if layer.ndim == 3)
 
 
-def difference(image: np.ndarray, truth: np.ndarray) -> float:
-    return np.abs(image - truth).mean() / truth.mean()
+def difference(image: np.ndarray, expected: np.ndarray) -> float:
+    return np.abs(image - expected).mean() / expected.mean()
 
 
-def test_the_picture_is_that_of_the_same_scene_as_gltf(server, blender, tmp_path):
+def test_the_picture_equals_that_of_blenders_gltf_export(server, blender, tmp_path):
     said = blender(server, "render_and_export", tmp_path / "sent.exr", tmp_path / "exported.glb")
     assert "Warning: " not in said.replace("Warning: World", "")
     sent = radiance(tmp_path / "sent.exr")
@@ -81,61 +82,57 @@ def test_the_picture_is_that_of_the_same_scene_as_gltf(server, blender, tmp_path
     assert difference(sent[..., :3], exported) < 0.01
 
 
-def test_shifted_lenses_and_parts_of_pictures_show_what_they_should(server, blender, tmp_path):
+def test_shifted_lenses_and_regions(server, blender, tmp_path):
     paths = [tmp_path / f"{name}.exr" for name in ("whole", "shifted", "part")]
     blender(server, "render_parts", *paths)
     whole, shifted, part = (radiance(path)[..., :3] for path in paths)
     rows, columns = round(0.05 * 96), round(0.1 * 96)
-    # Light is sampled anew in every picture; a pixel beside, the difference is several times as large.
+    # noise of the light; an offset of one pixel differs several times as much
     assert difference(shifted[:-rows, :-columns], whole[rows:, columns:]) < 0.05
     assert part.shape == (32, 48, 3)
     assert difference(part, whole[:32, 24:72]) < 0.05
 
 
-def test_a_transparent_film_is_covered_where_surfaces_are(server, blender, tmp_path):
+def test_alpha_of_a_transparent_film(server, blender, tmp_path):
     blender(server, "render_transparent", tmp_path / "a.exr")
     alpha = radiance(tmp_path / "a.exr")[..., 3]
     assert 0.1 < alpha.mean() < 0.9
     assert alpha[0].max() == 0 and alpha[-1].min() == 1
 
 
-def test_what_cannot_be_represented_is_reported(server, blender, tmp_path):
-    said = blender(server, "render_what_cannot_be", tmp_path / "a.exr")
+def test_deviations_are_reported(server, blender, tmp_path):
+    said = blender(server, "render_unsupported", tmp_path / "a.exr")
     for line in (
-        "Warning: Light of the world is left out: Sky",
-        "Warning: Area lights shine to both sides: Panel",
-        "Warning: Materials without a Principled BSDF have their viewport colour: Plain",
-        "Warning: Coats are left out: Glazed",
-        "Warning: Normal and bump maps are left out: Glazed",
-        "Warning: Inputs driven by nodes have their own value: Roughness of Glazed",
-        "Warning: Volumes are left out: Volume",
-        "Warning: Depth of field is left out: Camera",
-        "Warning: Transparent materials are opaque: Glazed",
+        "Light of the world is omitted: Sky",
+        "Area lights emit to both sides: Panel",
+        "Materials without a Principled BSDF have their viewport color: Plain",
+        "Coats are ignored: Glazed",
+        "Normal and bump maps are ignored: Glazed",
+        "Inputs computed by nodes have their default value: Roughness of Glazed",
+        "Volumes are omitted: Volume",
+        "Depth of field is omitted: Camera",
+        "Transparent materials are opaque: Glazed",
     ):
-        assert line in said
+        assert f"Warning: {line}" in said
     assert radiance(tmp_path / "a.exr")[..., :3].mean() > 0.05
 
 
-def test_a_camera_without_a_perspective_is_refused(server, blender, tmp_path):
-    said = blender(server, "refuse", tmp_path / "a.exr")
-    assert "refused: Error: Camera 'Camera' is no perspective camera: change its Lens Type to Perspective" in said
+def test_renders_that_are_impossible_are_one_line(server, blender, tmp_path):
+    said = blender(server, "render_orthographic", tmp_path / "a.exr")
+    assert "refused: Error: Camera 'Camera' has no perspective: change its Lens Type to Perspective" in said
+    said = blender(NOWHERE, "render_without_server")
+    assert f"refused: Error: No server at {NOWHERE}: start one with `rfpp serve`" in said
+    said = blender("http://192.0.2.7:8700", "render_without_server")
+    assert "refused: Error: 'http://192.0.2.7:8700' is not an address of this machine" in said
 
 
-def test_where_no_server_is_the_error_says_how_to_start_one(blender):
-    said = blender(NOWHERE, "ask_for_nothing")
-    assert said.count(f"refused: Error: No server at {NOWHERE}: start one with `rfpp serve`") == 2
-    said = blender("http://192.0.2.7:8700", "ask_for_nothing")
-    assert said.count("refused: Error: 'http://192.0.2.7:8700' is no address on this machine") == 2
-
-
-def test_the_server_tells_its_name_and_nothing_stays_behind(server, blender):
-    said = blender(server, "test_and_disable")
-    assert f"Info: The server at {server} renders with " in said
+def test_disabling_the_add_on_leaves_nothing(server, blender):
+    said = blender(server, "disable")
     assert "left: [], False, False" in said
     assert "again: True" in said
 
 
-def test_it_is_about_as_bright_as_in_cycles(server, blender, tmp_path):
+def test_pictures_are_as_bright_as_in_cycles(server, blender, tmp_path):
     blender(server, "render_beside_cycles", tmp_path / "rfpp.exr", tmp_path / "cycles.exr")
     ours, theirs = (radiance(tmp_path / f"{name}.exr")[..., :3] for name in ("rfpp", "cycles"))
     print(f"of Cycles: {ours.mean() / theirs.mean():.3f}, difference {difference(ours, theirs):.3f}")
@@ -145,10 +142,10 @@ def test_it_is_about_as_bright_as_in_cycles(server, blender, tmp_path):
 @pytest.mark.parametrize("shape", ["RECTANGLE", "DISK"])
 def test_an_area_light_is_as_bright_as_in_cycles(shape, blender, in_process, tmp_path):
     blender(NOWHERE, "area_in_cycles", shape, tmp_path / "a.exr", tmp_path / "a.glb")
-    truth = radiance(tmp_path / "a.exr")[..., :3]
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        scene = pack(load_scene(tmp_path / "a.glb"))
+    expected = radiance(tmp_path / "a.exr")[..., :3]
+    received = ReceivedScene.read((tmp_path / "a.glb").read_bytes())
+    camera = Camera(position=(0, 0, 5), look_at=(0, 0, 0), up=(0, 1, 0), fov=45)
+    scene = received.scene.seen_by([received.framing.camera(camera)])
     settings = CyclesSettings(
         samples=256, adaptive_threshold=0.0, denoise=False, max_bounces=0, diffuse_bounces=0, glossy_bounces=0,
         clamp_direct=0.0, clamp_indirect=0.0, caustics=False, blur_glossy=0.0, light_threshold=0.0, filter_width=1.5,
@@ -156,12 +153,12 @@ def test_an_area_light_is_as_bright_as_in_cycles(shape, blender, in_process, tmp
     )  # fmt: skip
     [image] = in_process(render, scene.triangles, scene.c2w, scene.fov, 24, 24, settings)
     lit = image[:12]  # away from the light itself, which Blender's camera sees
-    np.testing.assert_allclose(lit.mean(axis=(0, 1)), truth[:12].mean(axis=(0, 1)), rtol=0.05)
+    np.testing.assert_allclose(lit.mean(axis=(0, 1)), expected[:12].mean(axis=(0, 1)), rtol=0.05)
 
 
-def test_a_viewport_gets_the_newest_view_whole(server, blender, tmp_path):
+def test_a_viewport_shows_the_newest_view_in_full(server, blender, tmp_path):
     said = blender(server, "look_in_a_viewport", tmp_path / "seen.npy")
     seen = np.load(tmp_path / "seen.npy")
     assert seen.shape == (54, 96, 4)
-    assert "said: Orthographic views cannot be shown" in said
+    assert "said: Orthographic views are not supported" in said
     assert seen[..., :3].mean() > 0.05

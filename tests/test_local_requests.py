@@ -4,7 +4,7 @@ import socket
 
 import pytest
 
-from rfpp.serve.local_requests import reason_to_refuse
+from rfpp.local_requests import reason_to_refuse
 
 
 @pytest.mark.parametrize(
