@@ -11,14 +11,14 @@ from rfpp.scene.mesh import Mesh
 from rfpp.scene.packed import PackedScene, pack
 from rfpp.scene.spec import Camera, Material, Scene, SceneObject, Transform
 
-Vector = Sequence[float]
+Vector = Sequence[float | int]
 #: Faces of a box of eight corners, numbered x + 2 y + 4 z, outwards.
 _BOX = [(0, 2, 3), (0, 3, 1), (4, 5, 7), (4, 7, 6), (0, 1, 5), (0, 5, 4), (2, 6, 7), (2, 7, 3), (0, 4, 6), (0, 6, 2),
         (1, 3, 7), (1, 7, 5)]  # fmt: skip
 
 
 def surface(
-    color: float | Vector, specular: float = 0.0, roughness: float = 0.5, emission: float = 0.0
+    color: float | int | Vector, specular: float = 0.0, roughness: float = 0.5, emission: float = 0.0
 ) -> Material:
     """Return a material of this diffuse color."""
     diffuse = (color,) * 3 if isinstance(color, int | float) else tuple(color)

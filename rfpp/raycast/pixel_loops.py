@@ -114,8 +114,8 @@ def of_light(
     """Add the light of one light to each point.
 
     The irradiance of an exact light is β E + mean(w (V - β)): E is the closed form without occlusion, w the irradiance
-    of a sample, V its visibility, and β the visible share around the point's pixel. Because other pixels' samples are
-    independent, this is unbiased for any β; where a light is wholly visible or hidden it is exact.
+    of a sample, V its visibility, and β is 1 where all samples of the pixels around the point's see the light, else 0.
+    Because other pixels' samples are independent, this is unbiased; where a light is wholly visible it is exact.
 
     Args:
         start: First point.
@@ -161,7 +161,7 @@ def shares_around(
     of_pixels: Float[np.ndarray, "pixels 2"],
     around: Float[np.ndarray, " pixels"],
 ) -> None:
-    """Fill in the visible share of a light in the eight pixels around each pixel.
+    """Fill in whether all samples in the eight pixels around each pixel see a light (1) or not (0).
 
     Args:
         points: Points of the image.
@@ -176,12 +176,13 @@ def shares_around(
         of_pixels[points.pixel[row], 1] += sums[row, VISIBLE]
     for y in range(height):
         for x in range(width):
-            whole, visible = -of_pixels[y * width + x, 0], -of_pixels[y * width + x, 1]
+            whole, visible = 0.0, 0.0
             for j in range(max(y - 1, 0), min(y + 2, height)):
                 for i in range(max(x - 1, 0), min(x + 2, width)):
-                    whole += of_pixels[j * width + i, 0]
-                    visible += of_pixels[j * width + i, 1]
-            around[y * width + x] = min(max(visible / whole, 0.0), 1.0) if whole > 1e-12 else 0.0
+                    if j != y or i != x:
+                        whole += of_pixels[j * width + i, 0]
+                        visible += of_pixels[j * width + i, 1]
+            around[y * width + x] = 1.0 if whole > 0 and visible >= whole else 0.0
 
 
 @compiled
