@@ -77,12 +77,6 @@ def test_a_failing_encoder_leaves_nothing(code, tmp_path, monkeypatch):
     assert list((tmp_path / "out").iterdir()) == []
 
 
-def test_an_unwritable_folder_is_named(tmp_path):
-    (tmp_path / "file").write_text("")
-    with pytest.raises(UserError, match=r"film\.mp4: cannot be written"):
-        write_video(frames(2), tmp_path / "file" / "film.mp4", fps=24)
-
-
 def test_a_missing_encoder_is_reported_with_the_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
     with pytest.raises(MissingDependencyError, match=r"pip install \"rfpp\[video\]\""):

@@ -57,12 +57,6 @@ def test_scenes_are_cached_and_edits_encode_what_changed():
         assert renderer.engine.objects.encoded == encoded + 1
 
 
-def test_notes_list_changes_of_the_scene(served):
-    _, content = ask(served, "/scenes", scene(intensity=0.0).glb())
-    notes = json.loads(content)["notes"]
-    assert any("no light" in note for note in notes) and any("scaled by 0.25" in note for note in notes)
-
-
 def test_alpha_is_the_coverage_by_surfaces(served):
     name = send(served, scene().glb())
     alpha = picture(served, name, transparent=True)[..., 3]
@@ -146,11 +140,6 @@ def test_web_pages_and_other_versions_are_refused(served, headers):
     for path, body in (("/scenes", scene().glb()), ("/pictures", b"{}")):
         status, content = ask(served, path, body, **headers)
         assert status == 403 and json.loads(content)["error"]
-
-
-def test_unknown_paths_do_not_exist(served):
-    assert ask(served, "/../etc/passwd", b"")[0] == 404
-    assert ask(served, "/favicon.ico", None)[0] == 404
 
 
 def head(length: object) -> bytes:
