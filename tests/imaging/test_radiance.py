@@ -32,19 +32,12 @@ def test_srgb_curve_has_its_published_values() -> None:
     )
 
 
-<<<<<<< HEAD
-def test_srgb_gradient_is_finite_at_black() -> None:
-    linear = torch.zeros(3, requires_grad=True)
-    srgb(linear).sum().backward()
-    assert linear.grad.isfinite().all()  # from PyTorch 2.14 on, the limits of a clamp have gradient 0
-=======
-def test_srgb_has_an_inverse_and_a_gradient_at_black() -> None:
+def test_srgb_has_an_inverse_and_a_finite_gradient_at_black() -> None:
     values = torch.linspace(0, 1, 100)
     torch.testing.assert_close(linear(srgb(values)), values)
     black = torch.zeros(3, requires_grad=True)
     srgb(black).sum().backward()
-    torch.testing.assert_close(black.grad, torch.full((3,), 12.92))
->>>>>>> front
+    assert black.grad.isfinite().all()  # from PyTorch 2.14 on, the limits of a clamp have gradient 0
 
 
 def test_to_8bit_rounds_to_the_nearest_level() -> None:
