@@ -53,7 +53,7 @@ def main(cfg: DictConfig) -> list[Path]:
     """Render `cfg.scene` with `cfg.checkpoint`; return an EXR file per camera, or an MP4 file per scene."""
     if missing := OmegaConf.missing_keys(cfg):
         key = max(missing)  # the scene before others
-        raise UserError(f"{key} is not given: add {key}=… to the command line")
+        raise UserError(f"{key} is missing: add {key}=… to the command line")
     chosen = RenderSettings.parse(OmegaConf.to_container(cfg, resolve=True))
     tone_map = instantiate(cfg.tone_map, stops=chosen.exposure)
     motion, cycles = instantiate(cfg.get("motion")), cycles_settings(chosen, cfg.against)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from edited_scenes import added, changed, dimmed, lamp, moved, recoloured, removed, reordered, scene
+from edited_scenes import added, changed, dimmed, lamp, moved, recolored, removed, reordered, scene
 from networks import checkpoint_info, network
 from random_scenes import random_views
 
@@ -31,7 +31,7 @@ def views(seed: int = 0, sizes=(12, 5, 40, 1)):
     [
         # with normalized exposure, a new light changes the emission of both lights
         (moved, 1, 1 + 2),
-        (recoloured, 1, 1),
+        (recolored, 1, 1),
         (dimmed, 1, 2),
         (added, 1, 1 + 2),
         (removed, 0, 2),
