@@ -109,7 +109,8 @@ def _bsdf(material: np.ndarray) -> dict[str, object]:
         return {"type": "rgb", "value": np.clip(color / max(weight, 1e-9), 0, 1).tolist()}
 
     lambertian = {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": rgb(diffuse, 1 - share)}}
-    kind = {"type": "roughconductor", "distribution": "ggx", "alpha": roughness**2} if roughness > 0.03 else {"type": "conductor"}
+    rough = {"type": "roughconductor", "distribution": "ggx", "alpha": roughness**2}
+    kind = rough if roughness > 0.03 else {"type": "conductor"}
     glossy = {"type": "twosided", "bsdf": kind | {"material": "none", "specular_reflectance": rgb(specular, share)}}
     if share == 0:
         return lambertian

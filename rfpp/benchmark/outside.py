@@ -16,7 +16,6 @@ from rfpp.imaging.panels import panel, save_picture
 from rfpp.imaging.tone_maps import SRGB
 from rfpp.inference.renderer import Renderer
 from rfpp.reference.cycles import CyclesSettings
-from rfpp.scene.packed import PackedScene
 
 Image = Float[np.ndarray, "h w 3"]
 #: Pixels along each side of the squares over which images are averaged before they are compared.

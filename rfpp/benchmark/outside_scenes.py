@@ -43,7 +43,9 @@ def ball(center: Vector, radius: float, smooth: int = 3) -> Mesh:
     return Mesh((sphere.vertices + np.array(center)).astype(np.float32), np.asarray(sphere.faces))
 
 
-def room(low: Vector, high: Vector, color: float = 0.7, left: Vector = (0.7, 0.2, 0.2)) -> dict[str, tuple[Mesh, Material]]:
+def room(
+    low: Vector, high: Vector, color: float = 0.7, left: Vector = (0.7, 0.2, 0.2)
+) -> dict[str, tuple[Mesh, Material]]:
     """Return the six walls of a closed room, the left one red."""
     (x, y, z), (w, d, h) = low, np.subtract(high, low).tolist()
     white = surface(color)
@@ -162,7 +164,10 @@ def mirror_and_metal() -> PackedScene:
     parts |= {
         "mirror": (sheet((-0.3, 0.44, -0.3), (0.6, 0, 0), (0, 0, 0.5)), surface(0.0, specular=0.9, roughness=0.0)),
         "metal": (ball((0.15, 0.1, -0.28), 0.17, 4), surface(0.0, specular=0.8, roughness=0.4)),
-        "glossy": (box((-0.3, -0.05, -0.45), (-0.1, 0.15, -0.2)), surface((0.2, 0.3, 0.6), specular=0.2, roughness=0.3)),
+        "glossy": (
+            box((-0.3, -0.05, -0.45), (-0.1, 0.15, -0.2)),
+            surface((0.2, 0.3, 0.6), specular=0.2, roughness=0.3),
+        ),
         "lamp": (sheet((-0.1, -0.1, 0.35), (0.2, 0, 0), (0, 0.2, 0)), surface(0.0, emission=15.0)),
     }
     return scene("mirror and rough metal", parts, INSIDE)
@@ -197,4 +202,3 @@ def outside_scenes() -> Iterator[tuple[str, PackedScene]]:
     for kind, makers in SCENES.items():
         for make in makers:
             yield kind, make()
-

@@ -166,7 +166,8 @@ def feature_edges(corners: Float[np.ndarray, "m 3 3"]) -> Float[np.ndarray, "n 3
     edge, of_edge = edge.reshape(-1), np.repeat(normal, 3, axis=0)
     flush = np.full(len(first), np.inf)
     np.minimum.at(flush, edge, np.abs((of_edge * of_edge[first[edge]]).sum(-1)))
-    return vector[np.sort(first[(count != 2) | (flush < _CREASE)])]
+    features: Float[np.ndarray, "n 3"] = vector[np.sort(first[(count != 2) | (flush < _CREASE)])]
+    return features
 
 
 def _first_largest(values: Float[np.ndarray, " n"]) -> int:

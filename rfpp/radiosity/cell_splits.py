@@ -68,7 +68,9 @@ def split_cells(
         What stands for each cell now: itself, or a split; the splits; and the cell of each point.
     """
     count, cell = int(cell.max()) + 1, cell.copy()
-    entry, planes, children = np.arange(count), [], []
+    entry = np.arange(count)
+    planes: list[np.ndarray] = []
+    children: list[list[int]] = []
     parent = {number: ("entry", number, 0) for number in range(count)}
     tested = np.arange(count)
     for _ in range(_ROUNDS):
@@ -81,7 +83,7 @@ def split_cells(
             if kind == "entry":
                 entry[place] = as_split(split)
             else:
-                children[place][side] = as_split(split)
+                children[place][side] = int(as_split(split))
             parent[number], parent[count] = ("child", split, 0), ("child", split, 1)
             rows = np.flatnonzero(cell == number)
             cell[rows[in_front]] = count

@@ -65,8 +65,8 @@ class LitCells:
     def toward(self, hits: Int[Tensor, "*rays"], onward: Int[Tensor, "*rays"]) -> Float[Tensor, "*rays 3"]:
         """Return the radiance that rays bring from where they end, except direct light reflected there.
 
-        Diffuse light leaves the cell in which a ray ends. Its glossy lobe returns, of the light one bounce earlier, what
-        leaves the cell that the reflected ray hits.
+        Diffuse light leaves the cell in which a ray ends. Its glossy lobe returns, of the light one bounce earlier,
+        what leaves the cell that the reflected ray hits.
 
         Args:
             hits: Rows of the cells in which rays end.

@@ -26,8 +26,8 @@ class Radiosity(nn.Module):
 
     The unrefined image is linear in the scene's lights and in each of its bounces.
 
-    Light moves between cells until little of it is left; the number of bounces depends on geometry and albedos alone, so
-    that images of several lights are sums.
+    Light moves between cells until little of it is left; the number of bounces depends on geometry and albedos alone,
+    so that images of several lights are sums.
 
     Args:
         refinement: Correction of finished images; None leaves them as they are.
@@ -37,7 +37,6 @@ class Radiosity(nn.Module):
     gbuffer_channels = (
         "albedo", "specular", "roughness", "normal", "position", "direct_diffuse", "direct_glossy", "reflected_light",
     )  # fmt: skip
-
 
     def __init__(self, refinement: Refinement | None = None):
         super().__init__()

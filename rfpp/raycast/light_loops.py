@@ -40,7 +40,7 @@ class LightTarget(NamedTuple):
 @compiled
 def light_sample(
     scene: LitScene, light: int, target: LightTarget, point: Vector, normal: Vector, u: float, v: float
-) -> tuple[int, Triple, float, float, bool]:
+) -> tuple[int, Vector, float, float, bool]:
     """Draw a direction to a light.
 
     Triangles of an exact light are chosen by their unoccluded irradiance and sampled by solid angle, so that the
@@ -92,16 +92,18 @@ def light_sample(
 
 
 @compiled
-def density_of(
-    scene: LitScene, e: int, point: Vector, normal: Vector, way: Vector, distance: float
-) -> float:
+def density_of(scene: LitScene, e: int, point: Vector, normal: Vector, way: Vector, distance: float) -> float:
     """Return the density per solid angle with which `light_sample` draws a direction that hits an emitter."""
     light, probability = light_of(scene, e), scene.share[e]
     if scene.exact[light]:
         target = target_of(scene, light, point, normal)
-        probability = _irradiance(scene, light, target, point, normal, e) / target.irradiance if target.irradiance else 0.0
+        probability = 0.0
+        if target.irradiance:
+            probability = _irradiance(scene, light, target, point, normal, e) / target.irradiance
     angle = solid_angle(point, scene.corners[e])
-    return probability / angle if angle > SMALL_ANGLE else probability * _density_by_area(scene, e, way, distance)
+    within = 1 / angle if angle > SMALL_ANGLE else _density_by_area(scene, e, way, distance)
+    density: float = probability * within
+    return density
 
 
 @compiled
@@ -293,7 +295,8 @@ def _emitter_by_irradiance(
 @compiled
 def _density_by_area(scene: LitScene, e: int, way: Vector, distance: float) -> float:
     """Return the density per solid angle of points spread evenly over a triangle."""
-    return distance * distance / (scene.area[e] * max(abs(dot(way, scene.facing[e])), 1e-30))
+    density: float = distance * distance / (scene.area[e] * max(abs(dot(way, scene.facing[e])), 1e-30))
+    return density
 
 
 @compiled

@@ -1,7 +1,7 @@
 """Light where it is hard: near a ceiling, through a window, in furnaces, behind a wall.
 
-`mitsuba_light_below_ceiling.npz` holds images of 32² pixels of the first four scenes of `benchmark=outside`, rendered by
-Mitsuba 3.9.1 (`path`, 128², 128 samples, averaged over 4 × 4 pixels).
+`mitsuba_light_below_ceiling.npz` holds images of 32² pixels of the first four scenes of `benchmark=outside`, rendered
+by Mitsuba 3.9.1 (`path`, 128², 128 samples, averaged over 4 × 4 pixels).
 """
 
 from pathlib import Path
@@ -46,8 +46,7 @@ def test_no_light_passes_through_a_wall():
 
 
 def test_light_through_an_opening_is_unbiased_at_few_samples():
-    few, many = (
-        GBufferSource(["direct_diffuse"]).of(window(), 64, 64, samples)(0).mean(dtype=np.float64) for samples in (4, 256)
-    )
+    source = GBufferSource(["direct_diffuse"])
+    few, many = (source.of(window(), 64, 64, samples)(0).mean(dtype=np.float64) for samples in (4, 256))
     assert many > 0
     assert few == pytest.approx(many, rel=0.02)

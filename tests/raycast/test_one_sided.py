@@ -21,9 +21,7 @@ def scene(one_sided: bool, flipped: bool = False, shape: str = "square"):
     """A floor and a ceiling with a light between them."""
     lamp = square(0.4, z=0.5) if shape == "square" else sphere(0.2, (0, 0, 0.5), 1)
     lamp = lamp[:, ::-1] if flipped else lamp
-    whole = pack(
-        (square(2), material(0.5)), (square(2, z=1.0), material(0.5)), (lamp, material(0.5, emission=5.0))
-    )
+    whole = pack((square(2), material(0.5)), (square(2, z=1.0), material(0.5)), (lamp, material(0.5, emission=5.0)))
     return replace(whole, one_sided=frozenset([whole.object_names[2]] if one_sided else []))
 
 
