@@ -51,16 +51,12 @@ def _loaded(path: Path) -> tuple[nn.Module | None, str]:
         return None, str(error)
 
 
-@fuzzed
-@given(altered(INFO) | altered(INFO["model"]).map(lambda model: {**INFO, "model": model}) | JSON_VALUES)
-def test_altered_descriptions(folder: Path, info: object) -> None:
-    (folder / "config.json").write_bytes(dumped({CHECKPOINT_KEY: info}))
-    load(folder, folder)
+DESCRIPTIONS = altered(INFO) | altered(INFO["model"]).map(lambda model: {**INFO, "model": model}) | JSON_VALUES
 
 
 @fuzzed
-@given(damaged(dumped({CHECKPOINT_KEY: INFO})))
-def test_damaged_descriptions(folder: Path, content: bytes) -> None:
+@given(DESCRIPTIONS.map(lambda info: dumped({CHECKPOINT_KEY: info})) | damaged(dumped({CHECKPOINT_KEY: INFO})))
+def test_altered_and_damaged_descriptions(folder: Path, content: bytes) -> None:
     (folder / "config.json").write_bytes(content)
     load(folder, folder)
 

@@ -1,14 +1,12 @@
 """Panels: tone mapping, error maps, colors, sheets and files."""
 
 import numpy as np
-import pytest
 from PIL import Image
 
 from rfpp.imaging.panels import (
     contact_sheet,
     distinct_colours,
     error_map,
-    false_colours,
     panel,
     save_picture,
     tone_mapped,
@@ -51,23 +49,12 @@ def test_a_sheet_holds_every_picture_enlarged_by_whole_factors() -> None:
     assert corner_of(pictures[0], titled, 3)[0] > corner_of(pictures[0], sheet, 3)[0]
 
 
-def test_pictures_of_several_resolutions_are_enlarged_to_the_largest() -> None:
-    small, large = noise(1, 64), noise(1, 256)
-    sheet = panel({"small": small, "large": large})
-    assert corner_of(small[0], sheet, 4)[0] == corner_of(large[0], sheet, 1)[0]
-
-
 def test_a_contact_sheet_is_about_square_and_in_order() -> None:
     pictures = noise(7, 160)
     sheet = contact_sheet(pictures, [f"picture {i}" for i in range(7)])
     corners = [corner_of(picture, sheet, 1) for picture in pictures]
     assert corners == sorted(corners)
     assert [len({corner[axis] for corner in corners}) for axis in (0, 1)] == [3, 3]
-
-
-def test_false_colors_increase_in_brightness() -> None:
-    brightness = false_colours(np.linspace(0, 1, 50, dtype=np.float32)[None])[0].astype(int).sum(axis=-1)
-    assert (np.diff(brightness) > 0).all()
 
 
 def test_colors_of_objects_are_distinct_and_negative_numbers_are_black() -> None:
@@ -77,21 +64,8 @@ def test_colors_of_objects_are_distinct_and_negative_numbers_are_black() -> None
     assert np.abs(np.diff(colors[1:], axis=0)).max(axis=1).min() > 50
 
 
-def test_columns_of_different_length_are_refused() -> None:
-    picture = np.zeros((8, 8, 3), np.uint8)
-    with pytest.raises(ValueError, match="shorter"):
-        panel({"a": [picture, picture], "b": [picture]})
-
-
 def test_png_round_trip_makes_its_folder(tmp_path) -> None:
     picture = np.random.default_rng(0).integers(0, 256, (5, 7, 3), dtype=np.uint8)
     path = save_picture(picture, tmp_path / "a" / "b.png")
     assert np.array_equal(np.asarray(Image.open(path)), picture)
     assert [f.name for f in path.parent.iterdir()] == ["b.png"]
-
-
-def test_jpeg_by_the_suffix(tmp_path) -> None:
-    picture = np.full((16, 16, 3), (200, 120, 40), np.uint8)
-    with Image.open(save_picture(picture, tmp_path / "a.jpg")) as written:
-        assert written.format == "JPEG"
-        assert np.abs(np.asarray(written).astype(int) - picture).max() <= 3

@@ -73,18 +73,3 @@ def test_another_camera_casts_its_own_rays_into_the_same_structures(cast):
     assert cast[0] == "first_hit"
     assert cast.count("camera_caster") == 1  # of the new source
     assert stacked(source, scene(), 8).shape == (3, 16, 8, 8)
-
-
-def test_no_channels_no_rays(cast):
-    assert stacked(GBufferSource(()), scene()).shape == (3, 0, 16, 16)
-    assert cast == []
-
-
-@pytest.mark.parametrize(("samples", "per_sample"), [(1, 1), (4, 1), (8, 2), (64, 16)])
-def test_light_samples_of_a_pixel_are_divided_among_its_samples(samples, per_sample, monkeypatch):
-    given, real = [], rfpp.inference.gbuffers.with_known_light
-    monkeypatch.setattr(
-        rfpp.inference.gbuffers, "with_known_light", lambda *args, **how: given.append(args[4]) or real(*args, **how)
-    )
-    GBufferSource(LIT).gbuffer(pack(scene()), 0, 16, 16, samples, points=2)
-    assert given == [per_sample]

@@ -112,24 +112,9 @@ def test_an_objects_tokens_are_the_same_bits_in_any_company():
 
 
 @torch.inference_mode()
-def test_chunks_hold_as_many_triangles_as_allowed(monkeypatch):
-    net, seen = network(), []
-    make = net.tokens
-    monkeypatch.setattr(net, "tokens", lambda part: seen.append(part.objects.lengths) or make(part))
-    ObjectEncoder(net, CPU, triangles_at_once=20).tokenize(RaggedBatch.pack([views(sizes=(12, 5, 4, 40, 1, 19))]))
-    assert sorted(seen) == [(1, 19), (4,), (12, 5), (40,)]  # side by side, in any order
-
-
-@torch.inference_mode()
 def test_little_memory_costs_time_and_changes_nothing():
     net, batch = network(), RaggedBatch.pack([views()])
     roomy, cramped = ObjectEncoder(net, CPU), ObjectEncoder(net, CPU, max_bytes=1)
     for _ in range(2):
         assert torch.equal(roomy.tokenize(batch)[1].features, cramped.tokenize(batch)[1].features)
     assert (roomy.encoded, cramped.encoded) == (4, 8)
-
-
-def test_networks_of_triangle_tokens_are_rendered_whole():
-    whole = Renderer(network("model=renderformer"), checkpoint_info())
-    assert whole.engine.objects is None
-    assert np.isfinite(whole.render(scene())).all()

@@ -51,21 +51,6 @@ def test_it_is_bare():
     assert {"mlflow", "mlflow-skinny", "matplotlib", "pandas"} <= set(distributions)
 
 
-def test_a_library_that_is_hidden_is_as_good_as_absent(bare):
-    asked = (
-        "import importlib.util as u, importlib.metadata as m; print(u.find_spec('mlflow'), *m.packages_distributions())"
-    )
-    found = bare("-c", asked).split()
-    assert found[0] == "None"
-    assert "torch" in found
-    assert "mlflow" not in found
-    assert "ModuleNotFoundError: No module named 'mlflow'" in bare("-c", "import mlflow.entities", code=1)
-
-
-def test_the_package_is_imported(bare):
-    bare("-c", "import rfpp; rfpp.Renderer, rfpp.Scene")
-
-
 def test_training_needs_no_tracking(trained):
     folder, said = trained
     assert f"Writes   {folder}, metrics in {folder}/metrics.csv" in said

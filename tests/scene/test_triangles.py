@@ -43,12 +43,6 @@ def test_rotation_then_scale_then_translation() -> None:
     np.testing.assert_allclose(packed.positions[0], [[10, 23, 30], [8, 20, 30], [10, 20, 34]], atol=1e-5)
 
 
-def test_normalisation_comes_first() -> None:
-    far = Mesh(SPHERE.vertices * 40 + 1000, SPHERE.faces)
-    packed = pack(far, scale=(2, 2, 2), translation=(0, 0, 5))
-    np.testing.assert_allclose(np.linalg.norm(packed.positions - [0, 0, 5], axis=-1), 1, atol=1e-3)
-
-
 def test_normals_of_a_squeezed_sphere_are_those_of_the_ellipsoid() -> None:
     smooth = MATERIAL.model_copy(update={"smooth_shading": True})
     scale = np.array([0.5, 1.0, 0.8])
@@ -118,11 +112,6 @@ def test_random_colours_are_eight_bit_below_their_maximum_and_repeatable() -> No
 def test_seed_zero_is_a_seed_and_none_is_not() -> None:
     assert not np.allclose(coloured(seed=0), 0.5)
     np.testing.assert_allclose(coloured(seed=None), 0.5)
-
-
-def test_colours_per_group_follow_the_smooth_parts() -> None:
-    assert len(np.unique(coloured(seed=3, kind="per-shading-group"), axis=0)) == 6
-    assert len(np.unique(coloured(seed=3, kind="per-shading-group", smooth=False), axis=0)) == 48
 
 
 def test_world_meshes_are_computed_once_and_follow_changes(monkeypatch) -> None:

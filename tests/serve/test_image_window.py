@@ -36,10 +36,6 @@ def test_an_odd_number_of_pixels_is_off_by_half_of_one():
     np.testing.assert_allclose(np.abs(middle), 0.5 / 105, atol=1e-5)
 
 
-def test_no_larger_than_it_needs_to_be():
-    assert ImageWindow.around((-0.5, 0.5, -0.5, 0.5), (64, 64), 8).image_size == (64, 64)
-
-
 @pytest.mark.parametrize(
     ("edges", "size", "why"),
     [

@@ -57,12 +57,6 @@ def test_scenes_are_cached_and_edits_encode_what_changed():
         assert renderer.engine.objects.encoded == encoded + 1
 
 
-def test_notes_list_changes_of_the_scene(served):
-    _, content = ask(served, "/scenes", scene(intensity=0.0).glb())
-    notes = json.loads(content)["notes"]
-    assert any("no light" in note for note in notes) and any("scaled by 0.25" in note for note in notes)
-
-
 def test_alpha_is_the_coverage_by_surfaces(served):
     name = send(served, scene().glb())
     alpha = picture(served, name, transparent=True)[..., 3]

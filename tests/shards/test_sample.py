@@ -123,10 +123,3 @@ def test_only_requested_views_and_channels_are_decoded(sample):
     decode(sample.key, needed, lambda views: [1], channels=())
     with pytest.raises(ShardError, match=r"view1\.light\.exr"):
         decode(sample.key, needed, lambda views: [1])
-
-
-def test_tar_blocks_round_trip(sample):
-    members = encode(sample)
-    blocks = pack(sample.key, members)
-    assert len(blocks) % 512 == 0
-    assert unpack(blocks) == (sample.key, members)

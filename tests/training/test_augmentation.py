@@ -50,13 +50,6 @@ def test_augmentation_has_the_documented_spread(split):
     np.testing.assert_allclose(shifts.mean(axis=0), 0, atol=0.05)
 
 
-def test_moved_rotates_normals_with_the_triangles(split):
-    views = AllViews(split, CHANNELS)[0]
-    quarter = np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1.0]])
-    turned = moved(views, quarter, np.zeros(3))
-    np.testing.assert_allclose(turned.triangles.normals[..., 1], views.triangles.normals[..., 0], atol=1e-6)
-
-
 def test_color_channels_trade_places_everywhere_at_once(split):
     views = AllViews(split, CHANNELS)[0]
     rng = np.random.default_rng(0)

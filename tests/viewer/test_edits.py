@@ -54,17 +54,6 @@ def test_power_and_color_of_a_light_are_independent():
     assert not with_light(lamp, 0.0, tint(lamp)).material.is_emissive
 
 
-def test_invalid_values_are_refused_by_name():
-    with pytest.raises(SceneError, match="roughness"):
-        with_material(item("floor"), roughness=1.5)
-
-
-def test_colors_of_the_picker_round_trip():
-    for picked in [(0, 0, 0), (255, 255, 255), (1, 2, 3), (10, 128, 200)]:
-        assert to_picker(from_picker(picked)) == picked
-    assert from_picker((188, 188, 188)) == pytest.approx((0.5,) * 3, abs=0.005)
-
-
 @pytest.mark.parametrize("angles", [(0, 0, 0), (30, 0, 0), (0, -50, 0), (0, 0, 170), (-120, 40, 75)])
 def test_quaternions_of_the_gizmo_are_rotations_of_the_object(angles):
     plain = with_transform(item("peak_1"), scale=(1.0, 1.0, 1.0), translation=(0.0, 0.0, 0.0))
