@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from rfpp.scene.spec import Scene
 
 # Threads of GNU OpenMP, which PyTorch uses on Linux, wait for each other by spinning, for milliseconds. Beside another
-# busy program that takes ten times as long as the work (data/results/LOG.md). The library reads this when PyTorch is
+# busy program that takes ten times as long as the work. The library reads this when PyTorch is
 # loaded.
 if "OMP_WAIT_POLICY" not in os.environ:
     os.environ.setdefault("GOMP_SPINCOUNT", "3000")

@@ -45,12 +45,12 @@ def error_map(prediction: Radiance, reference: Radiance) -> UInt8[np.ndarray, "h
 def signed_error_map(prediction: Radiance, reference: Radiance) -> UInt8[np.ndarray, "h w 3"]:
     """Return the signed mean error: blue is too dark, white 0, red too bright, both full at 0.25; NaN is black."""
     error = (perceptual(_tensor(prediction)) - perceptual(_tensor(reference))).mean(dim=-1).numpy()
-    return _interpolated(np.clip(error / ERROR_FULL_SCALE, -1, 1), (-1, 0, 1), _DIVERGING)
+    return _interpolated(error / ERROR_FULL_SCALE, -1.0, _DIVERGING)
 
 
 def false_colours(share: Float[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h w 3"]:
     """Return numbers in [0, 1] as colors from black to pale yellow."""
-    return _interpolated(share, np.linspace(0, 1, len(_SCALE)), _SCALE)
+    return _interpolated(share, 0.0, _SCALE)
 
 
 def distinct_colours(ids: Int[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h w 3"]:
@@ -113,9 +113,10 @@ def _sheet(
 
 
 def _interpolated(
-    values: Float[np.ndarray, "h w"], stops: Sequence[float] | np.ndarray, colors: np.ndarray
+    values: Float[np.ndarray, "h w"], low: float, colors: Int[np.ndarray, "n 3"]
 ) -> UInt8[np.ndarray, "h w 3"]:
-    channels = [np.interp(values, stops, colors[:, channel]) for channel in range(3)]
+    """Return values from `low` to 1 as colors between equidistant stops; NaN becomes black."""
+    channels = [np.interp(values, np.linspace(low, 1, len(colors)), colors[:, channel]) for channel in range(3)]
     return np.nan_to_num(np.stack(channels, axis=-1)).round().astype(np.uint8)
 
 

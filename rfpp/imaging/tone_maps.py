@@ -84,7 +84,7 @@ class AgX(ToneMap):
         distance = position - gray
 
         def half(power: float, reach: float) -> Float[Tensor, "h w 3"]:
-            bend = ((2 * self._SLOPE * reach) ** power - 1) * (distance.abs() / reach).pow(power)
+            bend: Tensor = ((2 * self._SLOPE * reach) ** power - 1) * (distance.abs() / reach).pow(power)
             return 0.5 + self._SLOPE * distance * (1 + bend).pow(-1 / power)
 
         return torch.where(distance < 0, half(self._TOE, gray), half(self._SHOULDER, 1 - gray))

@@ -1,6 +1,6 @@
 """Every network on a GPU that is not there: nothing stays on the host, nothing is waited for, dtypes are right."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
@@ -113,7 +113,7 @@ def test_objects_that_are_recomputed_one_by_one_are_not_waited_for(name):
 
 def test_only_rays_of_whole_views_go_to_the_kernel_that_is_planned_for_each_shape(variant, monkeypatch):
     """Numbers of tokens differ from scene to scene, even where a batch has one."""
-    lengths, kernel = set(), attention.attend_varlen  # the kernel itself needs a driver to choose its backend
+    lengths, kernel = set(), attention.attend_equal
     monkeypatch.setattr(attention, "DENSE_FROM", 1)
     monkeypatch.setattr(attention, "attend_equal", lambda *a: lengths.add(a[-1].equal_length) or kernel(*a))
     with fake_gpu():

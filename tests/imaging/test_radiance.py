@@ -1,9 +1,11 @@
+"""Encodings of radiance: definitions, inverses, gradients and NaN."""
+
 import math
 
 import pytest
 import torch
 
-from rfpp.imaging.radiance import log_decode, log_encode, perceptual, srgb
+from rfpp.imaging.radiance import linear, log_decode, log_encode, perceptual, srgb, to_8bit
 
 
 def test_log_encoding_is_log10_of_one_plus_radiance() -> None:
@@ -28,6 +30,18 @@ def test_srgb_curve_has_its_published_values() -> None:
         rtol=0,
         atol=1e-5,
     )
+
+
+def test_srgb_has_an_inverse_and_a_gradient_at_black() -> None:
+    values = torch.linspace(0, 1, 100)
+    torch.testing.assert_close(linear(srgb(values)), values)
+    black = torch.zeros(3, requires_grad=True)
+    srgb(black).sum().backward()
+    assert black.grad.isfinite().all()  # from PyTorch 2.14 on, the limits of a clamp have gradient 0
+
+
+def test_to_8bit_rounds_to_the_nearest_level() -> None:
+    assert to_8bit(torch.tensor([-1.0, 0.0, 0.5 / 255 + 1e-4, 0.5, 1.0, 2.0])).tolist() == [0, 0, 1, 128, 255, 255]
 
 
 @pytest.mark.parametrize("encoding", [log_encode, log_decode, perceptual, srgb])

@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from edited_scenes import changed, dimmed, moved, scene
+from edited_scenes import dimmed, moved, scene
 from networks import checkpoint_info, network
 
 import rfpp.inference.animation
@@ -85,30 +85,17 @@ def test_existing_frames_are_not_rendered_again(renderer, rendered, tmp_path):
     assert [file.stat().st_mtime_ns for file in sorted(tmp_path.iterdir())] == times
 
 
-@pytest.mark.parametrize("damage", ["deleted", "truncated"])
-def test_missing_and_damaged_frames_are_rendered(damage, renderer, rendered, tmp_path):
+def test_missing_damaged_and_changed_frames_are_rendered(renderer, rendered, tmp_path):
     make(orbit(), tmp_path, renderer)
-    lost = tmp_path / "00001.exr"
-    if damage == "deleted":
-        lost.unlink()
-    else:
-        lost.write_bytes(lost.read_bytes()[:-200])
+    (tmp_path / "00000.exr").unlink()
+    damaged = tmp_path / "00001.exr"
+    damaged.write_bytes(damaged.read_bytes()[:-200])
     rendered.clear()
-    made, progress = make(orbit(), tmp_path, renderer)
-    assert made == sum(rendered) == 1
-    assert progress == [(1, 3), (2, 3)]
-    assert read_exr(lost)["RGB"].shape == (*SIZE, 3)
-
-
-def test_changed_frames_are_rendered(renderer, rendered, tmp_path):
-    make(edits(), tmp_path, renderer)
-    rendered.clear()
-    other = changed(
-        scene(), "peak_2", material=moved(scene()).objects[2].material.model_copy(update={"roughness": 0.9})
-    )
-    versions = [pack(v).views([0]) for v in (scene(), other, dimmed(moved(scene())))]
-    assert make(Frames(3, versions.__getitem__), tmp_path, renderer)[0] == 1
-    assert rendered == [1]
+    assert make(orbit(), tmp_path, renderer) == (2, [(0, 3), (1, 3), (2, 3)])
+    assert read_exr(damaged)["RGB"].shape == (*SIZE, 3)
+    views = [orbit()[0], pack(moved(scene())).views([1]), orbit()[2]]
+    assert make(Frames(3, views.__getitem__), tmp_path, renderer) == (1, [(1, 3), (2, 3)])
+    assert rendered == [2, 1]
 
 
 def test_other_settings_and_weights_render_all_frames(renderer, tmp_path):
@@ -116,24 +103,17 @@ def test_other_settings_and_weights_render_all_frames(renderer, tmp_path):
     assert make(orbit(), tmp_path, renderer, light_samples=5)[0] == 3
     assert make(orbit(), tmp_path, Renderer(network(seed=1), checkpoint_info()), light_samples=5)[0] == 3
     assert make(orbit(), tmp_path, renderer, light_samples=5, supersampling=3)[0] == 3
-    animation = Animation(orbit(), tmp_path, (16, 16))
-    assert animation.render(renderer, {"light_samples": 5, "supersampling": 3}, lambda *_: None) == 3
 
 
 def test_frames_before_an_error_are_kept(renderer, tmp_path):
-    still, broken = pack(scene()), {}
+    def create(number):
+        if number == 2:
+            raise UserError("scene 2: invalid")
+        return edits()[number]
 
-    def at(number):
-        if number in broken:
-            raise UserError(f"scene {number}: invalid")
-        return dataclasses.replace(still.views([number]), triangles=dataclasses.replace(still.triangles))
-
-    animation = Animation(Frames(3, at), tmp_path, SIZE)
-    broken[2] = True
     with pytest.raises(UserError, match="scene 2: invalid"):
-        animation.render(renderer, {"light_samples": 4, "supersampling": 2}, lambda *_: None)
-    assert (tmp_path / "00000.exr").is_file()
-    assert make(orbit(), tmp_path, renderer)[0] == 2
+        make(Frames(3, create), tmp_path, renderer)
+    assert make(edits(), tmp_path, renderer)[0] == 2
 
 
 def test_references_are_resumed_and_compared(renderer, tmp_path, monkeypatch):

@@ -1,11 +1,11 @@
-"""Gradients of images by materials and lights are those of the renderer itself, by finite differences of its images."""
+"""Gradients by materials and lights equal finite differences of rendered images."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
-from edited_scenes import MATTE, changed, lamp, recoloured, scene
+from edited_scenes import MATTE, changed, lamp, recolored, scene
 from networks import checkpoint_info, network
 
 from rfpp import DifferentiableRenderer, Renderer
@@ -30,7 +30,7 @@ def still() -> PackedScene:
     """A shiny floor, peaks that differ, a white and a blue light, from one camera."""
     glossy = MATTE.model_copy(update={"diffuse": (0.2, 0.3, 0.4), "specular": (0.5, 0.4, 0.3), "roughness": 0.3})
     blue = lamp(700).model_copy(update={"emissive": (300.0, 500.0, 900.0)})
-    edited = changed(recoloured(scene()), "peak_2", material=glossy)
+    edited = changed(recolored(scene()), "peak_2", material=glossy)
     edited = changed(edited, "floor", material=glossy.model_copy(update={"roughness": 0.5}))
     return pack(changed(edited, "spot", material=blue)).views([0])
 
@@ -84,59 +84,59 @@ def test_a_gradient_is_the_difference_of_two_renders(name, what, channel, ours, 
     assert gradient == pytest.approx((more - less) / (2 * STEPS[what]), rel=0.01)
 
 
-def test_the_image_is_that_of_the_renderer_whatever_the_cameras(ours):
+def test_the_image_equals_the_renderers(ours):
     views = pack(scene())
-    colour = torch.tensor([0.1, 0.7, 0.2], requires_grad=True)
-    images = ours.render(views, {"peak_1": {"diffuse": colour}}, (16, 24), light_samples=4, transports=2)
+    color = torch.tensor([0.1, 0.7, 0.2], requires_grad=True)
+    images = ours.render(views, {"peak_1": {"diffuse": color}}, (16, 24), light_samples=4, transports=2)
     assert images.shape == (3, 16, 24, 3)
-    expected = ours.renderer.render(recoloured(scene()), (16, 24), light_samples=4, transports=2)
+    expected = ours.renderer.render(recolored(scene()), (16, 24), light_samples=4, transports=2)
     np.testing.assert_allclose(images.detach().numpy(), expected, rtol=1e-3, atol=1e-5)
     images[1].sum().backward()
-    assert (colour.grad > 0).all()
+    assert (color.grad > 0).all()
 
 
-def test_there_is_no_graph_where_nobody_asks_for_a_gradient(ours, still):
+def test_without_gradients_there_is_no_graph(ours, still):
     image = ours.render(still, {"peak_0": {"diffuse": torch.tensor([0.1, 0.7, 0.2])}}, 16)
     assert not image.requires_grad
     expected = ours.renderer.render(edited(still, "peak_0", "diffuse", np.float32([0.1, 0.7, 0.2])), 16)
     np.testing.assert_allclose(image.numpy(), expected, rtol=1e-3, atol=1e-5)
 
 
-def test_a_colour_and_a_roughness_are_found_in_an_image(ours, still):
+def test_a_color_and_a_roughness_are_recovered_from_an_image(ours, still):
     target = torch.from_numpy(ours.renderer.render(still, SIDE))
-    colour, roughness = torch.full((3,), 0.5, requires_grad=True), torch.tensor(0.6, requires_grad=True)
-    optimizer = torch.optim.Adam([colour, roughness], lr=0.05)
+    color, roughness = torch.full((3,), 0.5, requires_grad=True), torch.tensor(0.6, requires_grad=True)
+    optimizer = torch.optim.Adam([color, roughness], lr=0.05)
     for step in range(30):
-        image = ours.render(still, {"peak_0": {"diffuse": colour}, "floor": {"roughness": roughness}}, SIDE)
+        image = ours.render(still, {"peak_0": {"diffuse": color}, "floor": {"roughness": roughness}}, SIDE)
         optimizer.param_groups[0]["lr"] = 0.05 * 0.9**step
         optimizer.zero_grad()
         (image - target).abs().mean().backward()
         optimizer.step()
-    np.testing.assert_allclose(colour.detach(), value(still, "peak_0", "diffuse").detach(), atol=0.03)
+    np.testing.assert_allclose(color.detach(), value(still, "peak_0", "diffuse").detach(), atol=0.03)
     assert roughness.item() == pytest.approx(0.5, abs=0.03)
 
 
-GREY = torch.full((3,), 0.5)
+GRAY = torch.full((3,), 0.5)
 WRONG = {
-    "an object that is not there": ({"ball": {"diffuse": GREY}}, "'ball' does not exist: choose from floor, lamp"),
-    "geometry": ({"floor": {"translation": GREY}}, "has no gradient: choose from diffuse, specular"),
-    "a number for a colour": ({"floor": {"diffuse": torch.tensor(0.5)}}, "a tensor of three numbers"),
-    "a colour for a number": ({"floor": {"roughness": GREY}}, "a tensor without axes"),
+    "an object that is not there": ({"ball": {"diffuse": GRAY}}, "'ball' does not exist: choose from floor, lamp"),
+    "geometry": ({"floor": {"translation": GRAY}}, "has no gradient: choose from diffuse, specular"),
+    "a number for a color": ({"floor": {"diffuse": torch.tensor(0.5)}}, "a tensor of three numbers"),
+    "a color for a number": ({"floor": {"roughness": GRAY}}, "a tensor without axes"),
     "no tensor": ({"floor": {"diffuse": (0.5, 0.5, 0.5)}}, "tuple was given"),
-    "more than all light": ({"floor": {"diffuse": 3 * GREY}}, "must be between 0 and 1: clamp it"),
+    "more than all light": ({"floor": {"diffuse": 3 * GRAY}}, "must be between 0 and 1: clamp it"),
     "no number": ({"floor": {"roughness": torch.tensor(float("nan"))}}, "'roughness' of 'floor' is nan"),
-    "a light that goes out": ({"lamp": {"emissive": 0 * GREY}}, "a light cannot be switched off"),
-    "a surface that lights up": ({"floor": {"emissive": GREY}}, "other objects cannot become lights"),
+    "a light that goes out": ({"lamp": {"emissive": 0 * GRAY}}, "a light cannot be switched off"),
+    "a surface that lights up": ({"floor": {"emissive": GRAY}}, "other objects cannot become lights"),
 }
 
 
 @pytest.mark.parametrize(("materials", "named"), WRONG.values(), ids=WRONG.keys())
-def test_each_wrong_material_is_refused_by_name(materials, named, ours, still):
+def test_invalid_materials_are_refused_by_name(materials, named, ours, still):
     with pytest.raises(UserError, match=named):
         ours.render(still, materials, 16)
 
 
-def test_scenes_without_cameras_and_networks_that_are_not_linear_are_refused(ours, still):
+def test_scenes_without_cameras_and_other_networks_are_refused(ours, still):
     with pytest.raises(SceneError, match="no camera"):
         ours.render(still.views([]), {}, 16)
     other = Renderer(network(), checkpoint_info(resolution=(16, 16)))

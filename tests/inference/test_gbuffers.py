@@ -1,4 +1,4 @@
-"""Which rays are cast anew when a scene or a camera changes; what comes out is what a new source would give."""
+"""Caching of G-buffers: an edit casts the necessary rays only, and equals a new source."""
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ def stacked(source: GBufferSource, of, resolution: int = 16) -> np.ndarray:
 
 @pytest.fixture
 def cast(monkeypatch) -> list[str]:
-    """What was cast or built, as it happens."""
+    """Log of cast rays and built structures."""
     log: list[str] = []
     for name in ("first_hit", "camera_caster", "LightSampler", "RayCaster"):
         real = getattr(rfpp.inference.gbuffers, name)
@@ -32,7 +32,7 @@ def cast(monkeypatch) -> list[str]:
 
 @pytest.mark.parametrize("channels", [PAPER, LIT])
 @pytest.mark.parametrize("edit", [recoloured, dimmed])
-def test_other_colors_and_powers_leave_first_hits_as_they_are(channels, edit, cast):
+def test_colors_and_powers_do_not_change_first_hits(channels, edit, cast):
     source = GBufferSource(channels)
     before = stacked(source, scene())
     assert cast.count("first_hit") == 3
@@ -44,7 +44,7 @@ def test_other_colors_and_powers_leave_first_hits_as_they_are(channels, edit, ca
 
 
 @pytest.mark.parametrize("channels", [PAPER, LIT])
-def test_a_moved_object_is_seen_where_it_is(channels, cast):
+def test_a_moved_object_casts_new_rays(channels, cast):
     source = GBufferSource(channels)
     before = stacked(source, scene())
     after = stacked(source, moved(scene()))
@@ -53,7 +53,7 @@ def test_a_moved_object_is_seen_where_it_is(channels, cast):
     assert not np.array_equal(before, after)
 
 
-def test_what_begins_to_emit_is_no_longer_seen():
+def test_an_object_that_starts_to_emit_becomes_invisible():
     source = GBufferSource(PAPER)
     glowing = changed(scene(), "floor", material=lamp(5))
     before, after = stacked(source, scene()), stacked(source, glowing)
@@ -61,7 +61,7 @@ def test_what_begins_to_emit_is_no_longer_seen():
     np.testing.assert_array_equal(after, stacked(GBufferSource(PAPER), glowing))
 
 
-def test_another_camera_casts_its_own_rays_into_the_same_structures(cast):
+def test_another_camera_reuses_acceleration_structures(cast):
     source = GBufferSource(LIT)
     stacked(source, scene())
     cast.clear()

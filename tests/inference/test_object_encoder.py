@@ -1,11 +1,11 @@
-"""An edited scene costs the edited objects, and gives the bits of a renderer that has never seen another."""
+"""Caching of objects: an edit encodes the edited objects only, and equals a new renderer bit by bit."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
-from edited_scenes import added, changed, dimmed, lamp, moved, recoloured, removed, reordered, scene
+from edited_scenes import added, changed, dimmed, lamp, moved, recolored, removed, reordered, scene
 from networks import checkpoint_info, network
 from random_scenes import random_views
 
@@ -29,16 +29,16 @@ def views(seed: int = 0, sizes=(12, 5, 40, 1)):
 @pytest.mark.parametrize(
     ("edit", "paper", "exposed"),
     [
-        # where a scene is normalized to its exposure, any light that arrives changes what both lights emit
+        # with normalized exposure, a new light changes the emission of both lights
         (moved, 1, 1 + 2),
-        (recoloured, 1, 1),
+        (recolored, 1, 1),
         (dimmed, 1, 2),
         (added, 1, 1 + 2),
         (removed, 0, 2),
         (reordered, 0, 0),
     ],
 )
-def test_an_edit_encodes_what_changed_and_is_exact(edit, paper, exposed):
+def test_an_edit_encodes_changed_objects_and_is_exact(edit, paper, exposed):
     for name, expected in (("paper", paper), ("exposed", exposed)):
         warm = renderer(name)
         before = warm.render(scene())
@@ -52,7 +52,7 @@ def test_an_edit_encodes_what_changed_and_is_exact(edit, paper, exposed):
             assert np.abs(after - before).max() > 1e-6 * before.max()
 
 
-def test_half_the_power_of_all_lights_encodes_nothing_at_the_scenes_exposure():
+def test_scaling_all_lights_encodes_nothing_with_normalized_exposure():
     warm = renderer("exposed")
     before = warm.render(scene())
     known = warm.engine.objects.encoded
@@ -62,7 +62,7 @@ def test_half_the_power_of_all_lights_encodes_nothing_at_the_scenes_exposure():
 
 
 @pytest.mark.parametrize("part", ["positions", "normals", "material"])
-def test_tokens_follow_everything_an_object_is_made_of(part):
+def test_keys_depend_on_all_properties_of_an_object(part):
     original = views()
     array = getattr(original.triangles, part).copy()
     array[12] += 0.01  # the second object's first triangle
@@ -71,7 +71,7 @@ def test_tokens_follow_everything_an_object_is_made_of(part):
     assert [a == b for a, b in zip(before, after, strict=True)] == [True, False, True, True]
 
 
-def test_a_texture_is_part_of_an_object():
+def test_keys_depend_on_textures():
     texture = np.zeros((58, 13, 4, 4), np.float32)
     painted = texture.copy()
     painted[-1, 0, 2, 1] = 0.5
@@ -81,7 +81,7 @@ def test_a_texture_is_part_of_an_object():
 
 
 @torch.inference_mode()
-def test_objects_encoded_alone_together_and_in_chunks_are_the_same_but_for_rounding():
+def test_chunks_change_tokens_by_rounding_only():
     net, batch = network(), RaggedBatch.pack([views()])
     _, whole = net.tokenize(batch)
     for at_once in (1, 20, 10**6):
@@ -93,7 +93,7 @@ def test_objects_encoded_alone_together_and_in_chunks_are_the_same_but_for_round
 
 
 @torch.inference_mode()
-def test_an_objects_tokens_are_the_same_bits_in_any_company():
+def test_tokens_of_an_object_do_not_depend_on_other_objects():
     net = network()
     original = views(sizes=(3, 33, 64, 1, 17))
     offsets = original.triangles.object_offsets
@@ -109,12 +109,3 @@ def test_an_objects_tokens_are_the_same_bits_in_any_company():
         )
         batch = RaggedBatch.pack([replace(original, triangles=alone)])
         assert torch.equal(ObjectEncoder(net, CPU).tokenize(batch)[1].features, tokens[number])
-
-
-@torch.inference_mode()
-def test_little_memory_costs_time_and_changes_nothing():
-    net, batch = network(), RaggedBatch.pack([views()])
-    roomy, cramped = ObjectEncoder(net, CPU), ObjectEncoder(net, CPU, max_bytes=1)
-    for _ in range(2):
-        assert torch.equal(roomy.tokenize(batch)[1].features, cramped.tokenize(batch)[1].features)
-    assert (roomy.encoded, cramped.encoded) == (4, 8)

@@ -55,7 +55,7 @@ def test_an_edited_scene_renders_as_with_a_new_renderer(edit):
     np.testing.assert_array_equal(ours.render(edited), refining().render(edited))
 
 
-def test_dimming_a_light_keeps_the_places_of_cells(monkeypatch):
+def test_dimming_a_light_reuses_the_cells(monkeypatch):
     found, real = [], rfpp.inference.radiosity_source.find_places
     monkeypatch.setattr(rfpp.inference.radiosity_source, "find_places", lambda *args: found.append(1) or real(*args))
     ours = renderer()
@@ -141,7 +141,7 @@ class TestRefinement:
             brighter = pack(changed(scene(), "lamp", material=lamp(power))).views([0])
             fresh = refining().render(brighter)[0]
             np.testing.assert_allclose(mixer.image(brighter, SIZE), fresh, rtol=2e-3, atol=1e-4 * fresh.max())
-        assert mixer.ready(brighter, SIZE)
+        assert mixer.is_separated(brighter, SIZE)
 
     def test_it_is_saved_and_loaded(self, tmp_path):
         loaded = Renderer.load(refining().save(tmp_path / "refined"), precision="fp32")

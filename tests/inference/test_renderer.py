@@ -38,7 +38,7 @@ def test_every_camera_gets_a_finite_non_negative_image(renderer, scene):
     assert images.std() > 0
 
 
-def test_a_picture_that_is_not_finite_is_an_error_that_says_why(scene):
+def test_weights_that_are_not_finite_are_an_error(scene):
     diverged = network()
     with torch.no_grad():
         next(diverged.decoder.parameters())[:] = torch.nan
@@ -46,7 +46,7 @@ def test_a_picture_that_is_not_finite_is_an_error_that_says_why(scene):
         Renderer(diverged, checkpoint_info()).render(scene)
 
 
-def test_and_so_is_one_of_a_scene_that_overflows(scene, monkeypatch):
+def test_scenes_that_overflow_are_an_error(scene, monkeypatch):
     bright = Renderer(network(), checkpoint_info())
     overflowing = lambda *args, **others: iter([np.full((16, 16, 3), np.inf, np.float32)])  # noqa: E731
     monkeypatch.setattr(bright.engine, "views", overflowing)
@@ -55,13 +55,13 @@ def test_and_so_is_one_of_a_scene_that_overflows(scene, monkeypatch):
 
 
 @pytest.mark.parametrize("resolution", [20_000, 1_000_000])
-def test_an_image_that_no_memory_holds_is_refused_before_a_ray_is_cast(renderer, scene, resolution, monkeypatch):
+def test_images_larger_than_the_memory_are_refused(renderer, scene, resolution, monkeypatch):
     monkeypatch.setattr("psutil.virtual_memory", lambda: SimpleNamespace(available=2**34))
     with pytest.raises(UserError, match=rf"resolution {resolution} x {resolution}: takes about [\d,]+ GB of memory"):
         renderer.render(scene, resolution)
 
 
-def test_any_resolution_that_divides_into_patches(renderer, scene):
+def test_resolutions_divide_into_patches(renderer, scene):
     assert renderer.render(scene, 24).shape == (3, 24, 24, 3)
     assert renderer.render(scene, (8, 20)).shape == (3, 8, 20, 3)
     with pytest.raises(UserError, match="30 x 30 does not divide into patches of 4"):
@@ -86,17 +86,17 @@ def test_the_scene_is_encoded_once(renderer, scene, monkeypatch):
     transported = ours.engine.module.transported
     monkeypatch.setattr(ours.engine.module, "transported", lambda *args: calls.append(1) or transported(*args))
     ours.render(scene)
-    ours.render(scene, cameras=scene.cameras[:1])  # another view of it
+    ours.render(scene, cameras=scene.cameras[:1])  # another view
     assert calls == [1]
     packed = pack(scene)
     dimmer = replace(packed, triangles=replace(packed.triangles, material=packed.triangles.material * 0.5))
     for wanted in (dimmer, dimmer, scene):
         ours.render(wanted)
-    assert calls == [1, 1, 1]  # what came last is kept, no more
+    assert calls == [1, 1, 1]  # only the last scene is cached
 
 
-def test_the_image_is_the_networks_own(renderer, scene):
-    """Of everything packed into one batch, with neither objects, views nor G-buffers apart."""
+def test_the_image_equals_the_networks(renderer, scene):
+    """The network renders everything in one batch."""
     packed = pack(scene)
     gbuffers = np.stack(
         [
@@ -113,7 +113,7 @@ def test_the_image_is_the_networks_own(renderer, scene):
     np.testing.assert_allclose(renderer.render(scene), expected, rtol=1e-4, atol=1e-5)
 
 
-def test_the_next_view_is_cast_while_this_one_is_decoded():
+def test_the_next_gbuffer_is_cast_in_the_background():
     begun, seen = [Event() for _ in range(4)], []
 
     def cast(view: int) -> int:
@@ -123,17 +123,17 @@ def test_the_next_view_is_cast_while_this_one_is_decoded():
     for view in _computed_ahead(cast, 4):
         assert view == 3 or begun[view + 1].wait(timeout=60)
         seen.append(view)
-        assert view >= 2 or not begun[view + 2].is_set()  # no more than one view is kept ready
+        assert view >= 2 or not begun[view + 2].is_set()  # at most one view ahead
     assert seen == [0, 1, 2, 3]
 
 
-def test_images_come_one_by_one(renderer, scene):
+def test_images_are_yielded_one_by_one(renderer, scene):
     images = renderer.views(scene)
     together = renderer.render(scene)
     for number, image in enumerate(images):
         np.testing.assert_array_equal(image, together[number])
     assert number == 2
-    next(renderer.views(scene))  # and may be left early
+    next(renderer.views(scene))  # without consuming all
     assert not torch.is_inference_mode_enabled()
 
 
@@ -146,6 +146,6 @@ def test_a_renderer_is_shared_by_threads(scene):
         np.testing.assert_array_equal(image, renderer.render(scene, resolution))
 
 
-def test_a_scene_without_cameras_is_refused_by_name(renderer, scene):
+def test_a_scene_without_cameras_is_refused(renderer, scene):
     with pytest.raises(SceneError, match="scene 'boxes' has no camera"):
         renderer.render(scene.model_copy(update={"cameras": ()}))

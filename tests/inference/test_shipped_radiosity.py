@@ -52,7 +52,7 @@ def known(name: str) -> dict[str, np.ndarray]:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_its_pictures_are_the_committed_ones(renderer, name):
+def test_pictures_equal_the_committed_ones(renderer, name):
     [image] = renderer.render(view_of(name), 64)
     expected = picture(f"{name}_0")
     assert difference(image, expected) < 2e-4

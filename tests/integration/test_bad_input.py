@@ -16,7 +16,6 @@ from small_data import make
 
 from rfpp.checkpoint.loading import CHECKPOINT_KEY, NETWORK_PREFIX
 from rfpp.commands import CONFIG_DIR
-from rfpp.scene.io.loading import load_scene
 
 REPOSITORY = CONFIG_DIR.parent
 CORNELL_BOX = REPOSITORY / "data" / "scenes" / "cornell_box.json"

@@ -19,7 +19,7 @@ EXPERIMENTS = sorted({path.stem for path in (CONFIG_DIR / "experiment").glob("*.
 KNOWN_LIGHT = "RenderFormer++, known light"
 METHODS = {row.method for table in (TABLE_1, TABLE_2) for block in table.blocks for row in block.rows}
 VERBS = ("generate", "train", "evaluate")
-GROUPS = ("scene", "reference", "data", "size", "model", "loss", "optimizer", "schedule", "datamodule", "trainer")
+GROUPS = ("family", "reference", "data", "size", "model", "loss", "optimizer", "schedule", "datamodule", "trainer")
 
 
 @pytest.fixture(scope="module")
@@ -62,12 +62,16 @@ def test_renderformer_has_as_many_parameters_as_the_released_one():
 
 @pytest.mark.parametrize("group", GROUPS)
 def test_every_choice_of_a_group_composes(group, composed):
-    for choice in sorted(path.stem for path in (CONFIG_DIR / group).glob("*.yaml")):
+    choices = sorted(path.stem for path in (CONFIG_DIR / group).glob("*.yaml"))
+    assert choices
+    for choice in choices:
         cfg = composed("train", f"{group}={choice}", "run_dir=unused")
         assert OmegaConf.to_container(cfg[group], resolve=True)
 
 
-@pytest.mark.parametrize("experiment", ["quickstart", "large_scale", "renderformer_data", *(f"[large_scale,{variant}]" for variant in VARIANTS)])
+@pytest.mark.parametrize(
+    "experiment", ["quickstart", "large_scale", "renderformer_data", *(f"[large_scale,{v}]" for v in VARIANTS)]
+)
 def test_one_step_on_a_cpu(experiment, composed, data, tmp_path):
     from launch.train import main
 
@@ -87,9 +91,7 @@ def test_large_scale_states_the_papers_settings(composed):
     assert cfg.model.tokenizer.queries == 8
     assert cfg.model.decoder.patch_size == 4
     assert list(cfg.model.decoder.gbuffer_channels) == ["albedo", "normal", "roughness"]
-    parts = (*(cfg.model.decoder[name] for name in ("ray_position", "shading", "film")), cfg.model.exposure)
-    names = [part._target_.rpartition(".")[2] for part in parts]
-    assert names == ["CameraOrigin", "LogRadiance", "CentreSample", "UnitExposure"]
+    assert cfg.model.exposure._target_.endswith(".UnitExposure")
     assert cfg.datamodule.augmentation.color is None
     assert (cfg.loss.l1_weight, cfg.loss.lpips_weight, cfg.loss.consistency_weight) == (1.0, 0.05, 0.1)
     assert cfg.loss.lpips_images_per_step is None

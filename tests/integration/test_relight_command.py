@@ -1,13 +1,12 @@
-"""`launch/relight.py` as it is called: the lights of a scene are found again from its own pictures."""
+"""`launch/relight.py`: the lights of a scene are recovered from its own pictures."""
 
 import numpy as np
 import pytest
 from edited_scenes import scene
-from networks import checkpoint_info, model_config, network
+from networks import checkpoint_info, network
 from PIL import Image
 
 from rfpp import Renderer, load_scene, save_scene
-from rfpp.errors import SceneError
 from rfpp.imaging.exr import write_exr
 from rfpp.imaging.panels import tone_mapped
 
@@ -16,14 +15,11 @@ FACTORS = {"lamp": np.array([0.5, 1.0, 2.0], np.float32), "spot": np.array([3.0,
 
 @pytest.fixture(scope="module")
 def kept(tmp_path_factory):
-    """A folder with a scene, a network and the scene's pictures under other lights."""
+    """Folder with a scene, a network and the scene's pictures under other lights."""
     folder = tmp_path_factory.mktemp("relight")
-    linear = ("experiment=quickstart",)
-    renderer = Renderer(network(*linear), checkpoint_info(model_config(*linear), resolution=(16, 16)))
-    renderer.save(folder / "net")
-    Renderer(network(), checkpoint_info(resolution=(16, 16))).save(folder / "other")
+    Renderer(network(), checkpoint_info(resolution=(16, 16))).save(folder / "network")
     save_scene(scene(), folder / "six.json")
-    lights = renderer.render_lights(scene(), 32)
+    lights = Renderer.load("radiosity", "cpu", "fp32").render_lights(scene(), 32)
     for view, image in enumerate(sum(FACTORS[name] * images for name, images in lights.items())):
         write_exr(folder / f"{view}.exr", {"RGB": image})
         Image.fromarray(tone_mapped(image, -1.0)).save(folder / f"{view}.png")
@@ -35,7 +31,7 @@ def relight(composed, kept, tmp_path):
     from launch.relight import main
 
     def run(*overrides: str):
-        settings = [f"scene={kept}/six.json", f"checkpoint={kept}/net", "device=cpu", "precision=fp32"]
+        settings = [f"scene={kept}/six.json", "device=cpu", "precision=fp32"]
         return main.__wrapped__(composed("relight", *settings, f"output={tmp_path}", *overrides))
 
     return run
@@ -51,7 +47,7 @@ def factors_of(path) -> dict[str, np.ndarray]:
     [(["target={kept}/0.exr"], 0.01), (["target=[{kept}/1.png,{kept}/2.png]", "cameras=[1,2]", "exposure=-1"], 0.1)],
     ids=["exr", "two png"],
 )
-def test_the_lights_of_a_picture_are_found(relight, kept, tmp_path, capsys, targets, tolerance):
+def test_the_lights_of_a_picture_are_recovered(relight, kept, tmp_path, capsys, targets, tolerance):
     written = relight(*(target.format(kept=kept) for target in targets))
     for name, factor in factors_of(written).items():
         np.testing.assert_allclose(factor, FACTORS[name], rtol=tolerance, atol=tolerance)
@@ -61,25 +57,14 @@ def test_the_lights_of_a_picture_are_found(relight, kept, tmp_path, capsys, targ
     assert (tmp_path / "six_relit_0.exr").is_file()
 
 
-def test_triangles_without_objects_are_relit_as_such(relight, kept, tmp_path):
-    save_scene(scene(), tmp_path / "six.h5")
-    written = relight(f"scene={tmp_path}/six.h5", f"target={kept}/0.exr")
-    before, after = (load_scene(path).triangles for path in (tmp_path / "six.h5", written))
-    lit = before.is_emissive
-    ratios = after.material[lit, 7:] / before.material[lit, 7:]
-    np.testing.assert_allclose(ratios, list(FACTORS.values()), rtol=0.02, atol=0.02)
-    with pytest.raises(SceneError, match=r"is of triangles.*\.h5"):
-        save_scene(load_scene(written), tmp_path / "six.json")
-
-
-def test_a_mask_hides_what_is_wrong_in_the_target(relight, kept, tmp_path):
+def test_masked_pixels_are_ignored(relight, kept, tmp_path):
     from rfpp.imaging.exr import read_exr
 
     image = read_exr(kept / "0.exr")["RGB"].copy()
     mask = np.full((32, 32, 3), 255, np.uint8)
     image[:10], mask[:10] = 50, 0
     Image.fromarray(mask).save(tmp_path / "mask.png")
-    written = relight(f"target={write_exr(tmp_path / 'spoilt.exr', {'RGB': image})}", f"mask={tmp_path}/mask.png")
+    written = relight(f"target={write_exr(tmp_path / 'damaged.exr', {'RGB': image})}", f"mask={tmp_path}/mask.png")
     for name, factor in factors_of(written).items():
         np.testing.assert_allclose(factor, FACTORS[name], rtol=0.01, atol=0.01)
 
@@ -91,11 +76,11 @@ def test_a_mask_hides_what_is_wrong_in_the_target(relight, kept, tmp_path):
         (["target={kept}/none.exr"], "none.exr: cannot be read"),
         (["target=[{kept}/0.exr,{kept}/1.exr]", "cameras=[0]"], "2 pictures for cameras"),
         (["target={kept}/0.exr", "cameras=[7]"], "cameras 0…2"),
-        (["target={kept}/0.exr", "checkpoint={kept}/other"], "no sum over lights"),
+        (["target={kept}/0.exr", "checkpoint={kept}/network"], "lights: this network's image is not a sum"),
     ],
     ids=["no target", "missing", "cameras", "camera", "network"],
 )
-def test_what_cannot_be_done_is_one_line(relight, kept, capsys, overrides, message):
+def test_errors_are_one_line(relight, kept, capsys, overrides, message):
     with pytest.raises(SystemExit):
         relight(*(one.format(kept=kept) for one in overrides))
     [line] = [line for line in capsys.readouterr().err.splitlines() if line.startswith("error: ")]

@@ -1,6 +1,5 @@
 """Each ablation changes what it names, and nothing else."""
 
-
 import pytest
 import torch
 from network_variants import batch_for

@@ -17,7 +17,7 @@ from rfpp.serve.image_window import ImageWindow
         ((0.1, 0.3, -0.4, -0.2), (40, 40)),  # beside the middle
     ],
 )
-def test_pixels_look_where_the_window_has_them(edges, size):
+def test_pixels_are_those_of_the_window(edges, size):
     window = ImageWindow.around(edges, size, 16)
     assert window.image_size[0] % 16 == 0 and window.image_size[1] % 16 == 0
     _, directions = pixel_rays(np.eye(4, dtype=np.float32), window.fov, *window.image_size)
@@ -29,11 +29,12 @@ def test_pixels_look_where_the_window_has_them(edges, size):
     np.testing.assert_allclose(cut[-1, -1, :2], [right - pitch / 2, bottom + pitch / 2], atol=pitch / 100)
 
 
-def test_an_odd_number_of_pixels_is_off_by_half_of_one():
+def test_odd_sizes_are_off_by_half_a_pixel():
     window = ImageWindow.around((-0.5, 0.5, -0.3, 0.3), (63, 105), 8)
     _, directions = pixel_rays(np.eye(4, dtype=np.float32), window.fov, *window.image_size)
     middle = window.crop(directions / -directions[..., 2:])[31, 52, :2]
     np.testing.assert_allclose(np.abs(middle), 0.5 / 105, atol=1e-5)
+    assert ImageWindow.around((-0.5, 0.5, -0.5, 0.5), (64, 64), 8).image_size == (64, 64)
 
 
 @pytest.mark.parametrize(
@@ -46,6 +47,6 @@ def test_an_odd_number_of_pixels_is_off_by_half_of_one():
         ((-1e-9, 1e-9, -1e-9, 1e-9 + 900), (1, 16384), "not square"),
     ],
 )
-def test_others_are_refused(edges, size, why):
+def test_invalid_windows_are_refused(edges, size, why):
     with pytest.raises(SceneError, match=why):
         ImageWindow.around(edges, size, 8)

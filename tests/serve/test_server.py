@@ -142,11 +142,6 @@ def test_web_pages_and_other_versions_are_refused(served, headers):
         assert status == 403 and json.loads(content)["error"]
 
 
-def test_unknown_paths_do_not_exist(served):
-    assert ask(served, "/../etc/passwd", b"")[0] == 404
-    assert ask(served, "/favicon.ico", None)[0] == 404
-
-
 def head(length: object) -> bytes:
     lines = ["POST /scenes HTTP/1.1", "Host: 127.0.0.1", "Rfpp-Protocol: 1", f"Content-Length: {length}", "", ""]
     return "\r\n".join(lines).encode()

@@ -1,7 +1,6 @@
 """Reading one or several data sets: by plain WebDataset and by index; damage is named."""
 
 import json
-import pickle
 import re
 import tarfile
 from pathlib import Path
@@ -10,7 +9,6 @@ import numpy as np
 import pytest
 import webdataset
 from small_data import make
-from torch.utils.data import DataLoader
 
 from rfpp.errors import ShardError
 from rfpp.shards import dataset

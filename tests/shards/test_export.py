@@ -7,20 +7,17 @@ import numpy as np
 import pytest
 from known_scenes import look_at as pose_of
 from known_scenes import still_life
-from PIL import Image
 from scene_families import scenes
 from stored_sample import stored_sample
 
 from rfpp.errors import SceneError, UserError
 from rfpp.imaging.exr import read_exr
-from rfpp.imaging.panels import tone_mapped
 from rfpp.raycast.first_hit import channel, object_ids
-from rfpp.scene.camera import camera_to_world
 from rfpp.scene.io.loading import load_scene
 from rfpp.scene.io.renderformer_h5 import load_images
 from rfpp.scene.packed import PackedScene, pack
 from rfpp.scene.triangles import DIFFUSE, SPECULAR, SceneTriangles
-from rfpp.shards.export import export, look_at
+from rfpp.shards.export import export
 
 
 @pytest.fixture(scope="module")

@@ -11,12 +11,9 @@ from pathlib import Path
 import psutil
 import pytest
 import trimesh
-from hydra import compose, initialize_config_dir
-from hydra.utils import instantiate
 from marks import requires_blender
 from PIL import Image
 
-from rfpp.shards.job import DatasetSettings
 from rfpp.shards.manifest import Manifest
 
 REPOSITORY = Path(__file__).resolve().parents[2]

@@ -24,7 +24,7 @@ from small_data import (
     recipe,
 )
 
-from rfpp.errors import MissingDependencyError, ShardError, UserError
+from rfpp.errors import ShardError, UserError
 from rfpp.shards import writer
 from rfpp.shards.dataset import ShardSplit
 from rfpp.shards.manifest import Manifest

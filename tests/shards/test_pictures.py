@@ -3,14 +3,12 @@
 import numpy as np
 import pytest
 from known_scenes import LIGHT, look_at, material, pack, sphere, square, still_life
-from small_data import BoxFamily
 from stored_sample import stored_sample
 
 from rfpp.imaging import panels
 from rfpp.imaging.panels import tone_mapped
 from rfpp.raycast.direct_light import direct_radiance
 from rfpp.scene.packed import PackedScene
-from rfpp.shards import pictures
 from rfpp.shards.pictures import contact_sheet, sample_panel, with_ambient
 
 

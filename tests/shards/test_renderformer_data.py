@@ -1,6 +1,5 @@
 """Import of RenderFormer's H5 files: every scene exactly once, and bad files are named."""
 
-import pickle
 import shutil
 from dataclasses import replace
 from pathlib import Path

@@ -12,7 +12,6 @@ from rfpp.scene.camera import camera_to_world
 from rfpp.scene.triangles import SceneTriangles
 from rfpp.shards.sample import SCHEMA_VERSION, SceneSample, decode, encode
 from rfpp.shards.scene_rays import SceneRays
-from rfpp.shards.tar import pack, unpack
 
 STORED = (
     "normal", "roughness", "depth", "position", "albedo", "specular", "direct_diffuse", "direct_glossy",

@@ -11,7 +11,6 @@ import threading
 from functools import partial
 from pathlib import Path
 
-import fsspec
 import numpy as np
 import pytest
 
@@ -19,7 +18,7 @@ from rfpp.errors import MissingDependencyError, ShardError, UserError
 from rfpp.shards import store
 from rfpp.shards.cache import ShardCache
 from rfpp.shards.dataset import ShardSplit
-from rfpp.shards.manifest import MANIFEST_FILE, Manifest
+from rfpp.shards.manifest import MANIFEST_FILE
 from rfpp.shards.tar import unpack
 
 

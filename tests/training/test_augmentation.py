@@ -8,7 +8,7 @@ from rfpp.raycast.first_hit import first_hit, stack_channels
 from rfpp.scene.triangles import DIFFUSE, EMISSION, SPECULAR
 from rfpp.shards.dataset import ShardSplit
 from rfpp.shards.views import AllViews
-from rfpp.training.augmentation import ColorPermutation, RigidMotion, moved
+from rfpp.training.augmentation import ColorPermutation, RigidMotion
 
 CHANNELS = ("albedo", "normal", "position")
 

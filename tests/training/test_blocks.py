@@ -3,11 +3,8 @@
 import pytest
 import torch
 from compiled_gradients import batches, compare, gradients
-from hydra import compose, initialize_config_dir
-from hydra.utils import instantiate
 from networks import network
 
-from rfpp.commands import CONFIG_DIR
 from rfpp.errors import UserError
 from rfpp.training.blocks import RecomputedBlocks, RecomputedObjects
 

@@ -4,9 +4,6 @@ import warnings
 
 import pytest
 import torch
-from omegaconf import OmegaConf
-from small_data import make
-from training_runs import train
 
 from rfpp.errors import UserError
 from rfpp.training.plan import choose_precision, plan_training

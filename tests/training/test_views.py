@@ -10,7 +10,6 @@ from rfpp.imaging.exr import decode_exr
 from rfpp.shards import sample
 from rfpp.shards.dataset import ShardSplit
 from rfpp.shards.order import ShuffledOrder
-from rfpp.shards.views import select_views
 from rfpp.training.augmentation import RigidMotion
 from rfpp.training.partition import BalancedBySize, Contiguous, Partition
 from rfpp.training.views import GlobalBatches, TrainingViews

@@ -4,16 +4,13 @@ import numpy as np
 import pytest
 from edited_scenes import scene
 
-from rfpp.errors import SceneError
 from rfpp.scene.packed import pack
 from rfpp.scene.spec import SceneObject
 from rfpp.viewer.edits import (
-    from_picker,
     power,
     quaternion,
     rotation,
     tint,
-    to_picker,
     with_light,
     with_material,
     with_object,
