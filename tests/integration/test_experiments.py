@@ -1,5 +1,6 @@
 """Every experiment composes, and runs a step of its own path on a CPU."""
 
+import csv
 import math
 
 import pytest
@@ -13,6 +14,8 @@ from rfpp.evaluation.tables.paper import TABLE_1, TABLE_2
 PAPER = [f"paper/{path.stem}" for path in sorted((CONFIG_DIR / "experiment" / "paper").glob("*.yaml"))]
 #: Experiments that change the network of another.
 VARIANTS = [*PAPER, "known_light"]
+#: Variants whose training step differs from the paper's in more than numbers.
+OTHER_STEPS = [v for v in VARIANTS if "iteration" not in v and "finetuned" not in v]
 #: Experiments with data of their own.
 EXPERIMENTS = sorted({path.stem for path in (CONFIG_DIR / "experiment").glob("*.yaml")} - {*VARIANTS})
 #: Method of known_light, which is not in the paper.
@@ -70,7 +73,7 @@ def test_every_choice_of_a_group_composes(group, composed):
 
 
 @pytest.mark.parametrize(
-    "experiment", ["quickstart", "large_scale", "renderformer_data", *(f"[large_scale,{v}]" for v in VARIANTS)]
+    "experiment", ["quickstart", "large_scale", "renderformer_data", *(f"[large_scale,{v}]" for v in OTHER_STEPS)]
 )
 def test_one_step_on_a_cpu(experiment, composed, data, tmp_path):
     from launch.train import main
@@ -102,23 +105,19 @@ def test_large_scale_states_the_papers_settings(composed):
 
 
 def test_training_twice_gives_the_same_losses(composed, data, tmp_path):
-    from mlflow.tracking import MlflowClient
-
     from launch.train import main
-    from rfpp.checkpoint.loading import load_network
 
-    def losses(name: str) -> list[float]:
+    def losses(name: str) -> list[str]:
         cfg = composed(
-            "train", "experiment=quickstart", "debug=cpu", f"data.root={data}", "data.resolution=8", "steps=6",
-            "trainer.val_check_interval=6", "loss.lpips_weight=0.0", f"run_dir={tmp_path}/{name}",
-            f"logger.folder={tmp_path}",
+            "train", "experiment=quickstart", "debug=cpu", "logger=none", f"data.root={data}", "data.resolution=8",
+            "steps=4", "trainer.val_check_interval=4", "loss.lpips_weight=0.0", f"run_dir={tmp_path}/{name}",
         )  # fmt: skip
-        run = load_network(main.__wrapped__(cfg))[1].mlflow_run_id
-        history = MlflowClient(f"sqlite:///{tmp_path}/mlflow.db").get_metric_history(run, "train/loss")
-        return [metric.value for metric in history]
+        main.__wrapped__(cfg)
+        rows = csv.DictReader((tmp_path / name / "metrics.csv").open())
+        return [row["train/loss"] for row in rows if row["train/loss"]]
 
     first = losses("one")
-    assert len(first) == 6
+    assert len(first) == 4
     assert first == losses("two")
 
 

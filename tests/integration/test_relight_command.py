@@ -72,7 +72,7 @@ def test_masked_pixels_are_ignored(relight, kept, tmp_path):
 @pytest.mark.parametrize(
     ("overrides", "message"),
     [
-        ([], "target is not given"),
+        ([], "target is missing"),
         (["target={kept}/none.exr"], "none.exr: cannot be read"),
         (["target=[{kept}/0.exr,{kept}/1.exr]", "cameras=[0]"], "2 pictures for cameras"),
         (["target={kept}/0.exr", "cameras=[7]"], "cameras 0…2"),

@@ -183,7 +183,9 @@ WRONG = {
     "an unknown preset of references": ([ONE, "reference=true", "reference_settings=best"], "reference_settings=best"),
     "an invalid boolean": ([ONE, "reference=perhaps"], "reference"),
     "a second model without a reference": ([ONE, "against=other.ckpt"], "add reference=true"),
-    "a second model in a film": ([ONE, "motion=turntable", "reference=true", "against=other.ckpt"], "not to animations"),
+    "a second model in a film": (
+        [ONE, "motion=turntable", "reference=true", "against=other.ckpt"], "not to animations"
+    ),
     "layers of lights in an animation": ([ONE, "motion=turntable", "lights=separate"], "not to animations"),
     "layers of lights of a network": ([ONE, "lights=separate"], "lights: this network's image is not a sum"),
     "layers of bounces of a network": ([ONE, "bounces=separate"], "bounces: this network's image is not a sum"),

@@ -10,7 +10,7 @@ from rfpp.errors import MissingDependencyError
 from rfpp.metrics.lpips import LPIPS, TRUNK, load_trunk, trunk_file
 
 
-def _images(seed: int, n: int = 2, size: int = 32) -> torch.Tensor:
+def _images(seed: int, n: int = 2, size: int = 16) -> torch.Tensor:
     return 2 * torch.rand(n, 3, size, size, generator=torch.Generator().manual_seed(seed)) - 1
 
 

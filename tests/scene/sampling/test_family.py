@@ -9,10 +9,10 @@ from rfpp.scene.triangles import SceneTriangles
 QUICKSTART = family("quickstart")
 #: Family → scenes to draw, and its intervals of triangles, of objects and of triangles of an object.
 BUDGETS = {
-    "quickstart": (60, (400, 1600), (3, 8), (50, 300)),
-    "renderformer": (20, (500, 4096), (1, 3), (200, 1188)),
-    "small_scale": (12, (3000, 10000), (5, 70), (200, 1200)),
-    "large_scale": (4, (10000, 80000), (5, 70), (200, 1200)),
+    "quickstart": (20, (400, 1600), (3, 8), (50, 300)),
+    "renderformer": (6, (500, 4096), (1, 3), (200, 1188)),
+    "small_scale": (3, (3000, 10000), (5, 70), (200, 1200)),
+    "large_scale": (1, (10000, 80000), (5, 70), (200, 1200)),
 }
 
 

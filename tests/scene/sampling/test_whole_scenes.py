@@ -16,9 +16,9 @@ from rfpp.scene.mesh import Mesh, normalized
 
 #: Family → scenes to draw, its interval of triangles, of objects and of triangles of an object, its share of floating.
 FAMILIES = {
-    "renderformer": (240, (500, 4096), (1, 3), (200, 1188), 0.25),
-    "small_scale": (240, (3000, 10000), (5, 70), (200, 1200), 0.6),
-    "large_scale": (120, (10000, 80000), (5, 70), (200, 1200), 0.6),
+    "renderformer": (150, (500, 4096), (1, 3), (200, 1188), 0.25),
+    "small_scale": (120, (3000, 10000), (5, 70), (200, 1200), 0.6),
+    "large_scale": (60, (10000, 80000), (5, 70), (200, 1200), 0.6),
 }
 
 
