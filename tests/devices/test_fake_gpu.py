@@ -30,7 +30,7 @@ WITH_OBJECTS = [name for name in VARIANTS if name not in ("renderformer", "rende
 
 @dataclass(frozen=True)
 class Step:
-    """What was seen of a training step's forward pass: copies that it waited for, devices and dtypes of tensors."""
+    """Observations of a forward pass in training: blocking copies, devices and dtypes of tensors."""
 
     waited_for: list[str]
     devices: dict[str, torch.device]

@@ -1,4 +1,4 @@
-"""Whatever a checkpoint holds: a network, or one line that names the file, and no code is run."""
+"""Damaged checkpoints load or raise one line that names the file; no code is run."""
 
 import io
 import json
@@ -72,7 +72,7 @@ def test_damaged_weights(tmp_path_factory, content: bytes) -> None:
 
 
 def lightning(info: object, weights: dict[str, torch.Tensor]) -> bytes:
-    """As launch/train.py writes it."""
+    """Return a checkpoint in the format of launch/train.py."""
     file = io.BytesIO()
     torch.save({CHECKPOINT_KEY: info, "state_dict": {NETWORK_PREFIX + k: v for k, v in weights.items()}}, file)
     return file.getvalue()

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from edited_scenes import changed, dimmed, lamp, moved, recoloured, scene
+from edited_scenes import changed, dimmed, lamp, moved, recolored, scene
 
 import rfpp.inference.gbuffers
 from rfpp.inference.gbuffers import GBufferSource
@@ -31,7 +31,7 @@ def cast(monkeypatch) -> list[str]:
 
 
 @pytest.mark.parametrize("channels", [PAPER, LIT])
-@pytest.mark.parametrize("edit", [recoloured, dimmed])
+@pytest.mark.parametrize("edit", [recolored, dimmed])
 def test_colors_and_powers_do_not_change_first_hits(channels, edit, cast):
     source = GBufferSource(channels)
     before = stacked(source, scene())

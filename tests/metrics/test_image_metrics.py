@@ -13,7 +13,7 @@ def metrics(random_lpips):
 
 
 def _gbuffer(direct: torch.Tensor) -> dict[str, torch.Tensor]:
-    """Of white surfaces under this light, in front of which nothing stands; roughness grows from top to bottom."""
+    """Return the G-buffer of white surfaces under this light; roughness grows from top to bottom."""
     nothing = torch.zeros_like(direct)
     roughness = torch.linspace(0, 1, direct.shape[2])[:, None].expand_as(direct)[:, :1]
     surface = {"albedo": nothing + 1, "specular": nothing, "roughness": roughness, "depth": nothing[:, :1] + 1}

@@ -17,10 +17,10 @@ from rfpp.training.augmentation import moved
 KNOWN_LIGHT = ("experiment=[quickstart,known_light]",)
 
 
-def triangle(centre, x, y) -> np.ndarray:
+def triangle(center, x, y) -> np.ndarray:
     """A triangle with this centroid, spanned by x and y: its area is 3/2 |x × y|, its normal along x × y."""
-    centre, x, y = (np.asarray(v, dtype=float) for v in (centre, x, y))
-    return np.stack([centre + x, centre + y, centre - x - y])
+    center, x, y = (np.asarray(v, dtype=float) for v in (center, x, y))
+    return np.stack([center + x, center + y, center - x - y])
 
 
 def scene(*objects: tuple[np.ndarray, float]) -> RaggedBatch:

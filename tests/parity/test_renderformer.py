@@ -124,7 +124,7 @@ def test_what_does_not_fit_is_refused_by_name(tmp_path):
     assert "rope_type is 'triangle_learned'" in refusal(
         write(tmp_path / "d", CONFIG | {"rope_type": "triangle_learned"})
     )
-    assert "unknown key 'colour'" in refusal(write(tmp_path / "e", CONFIG | {"colour": 1}))
+    assert "unknown key 'color'" in refusal(write(tmp_path / "e", CONFIG | {"color": 1}))
     other = tensors | {"transformer.rope_emb.freqs": torch.arange(1.0, 7.0)}
     assert "transformer.rope_emb.freqs" in refusal(write(tmp_path / "f", CONFIG, other))
     folder = write(tmp_path / "g", CONFIG)

@@ -42,7 +42,7 @@ def test_the_longer_side_spans_minus_one_to_one(height: int, width: int) -> None
 
 
 @pytest.mark.parametrize("points", [2, 3])
-def test_points_of_a_pixel_share_neither_row_nor_column_and_lie_around_its_centre(points: int) -> None:
+def test_points_of_a_pixel_share_neither_row_nor_column_and_lie_around_its_center(points: int) -> None:
     height, width = 4, 6
     plane = pixel_plane(points * height, points * width, points)
     of_pixels = plane.reshape(height, points, width, points, 2).swapaxes(1, 2).reshape(height, width, points**2, 2)

@@ -1,4 +1,4 @@
-"""Meshes: files in and out, normalisation, decimation, degenerate faces."""
+"""Meshes: files in and out, normalization, decimation, degenerate faces."""
 
 from __future__ import annotations
 

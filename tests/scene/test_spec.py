@@ -32,7 +32,7 @@ def thing(name: str = "thing", **material: object) -> SceneObject:
         (Material, GREY | {"emissive": (1, float("inf"), 1)}, r"material\.emissive\.1: .*finite"),
         (Material, GREY | {"rand_tri_diffuse_seed": -1}, r"material\.rand_tri_diffuse_seed: "),
         (Material, GREY | {"random_diffuse_type": "per-vertex"}, r"material\.random_diffuse_type: .*'per-triangle'"),
-        (Material, GREY | {"colour": 1}, r"material\.colour: unknown key"),
+        (Material, GREY | {"color": 1}, r"material\.color: unknown key"),
         (Material, {"diffuse": (0.5, 0.5, 0.5)}, r"material\.specular: this key is missing"),
         (Transform, {"rotation": (0, 0, float("nan"))}, r"transform\.rotation\.2: .*finite"),
         (Transform, {"scales": (1, 1, 1)}, r"transform\.scales: unknown key"),

@@ -28,7 +28,7 @@ def sample():
 
 @pytest.fixture(scope="module")
 def painted():
-    """Sample of a scene with a box whose triangles have different colours."""
+    """Sample of a scene with a box whose triangles have different colors."""
     pose = pose_of((0.3, -1.5, 0.9))
     return stored_sample(PackedScene("still life", still_life(), pose[None], np.array([40.0], np.float32)))
 

@@ -57,8 +57,8 @@ def test_new_views_show_training_scenes_to_other_cameras(finished):
 
 
 def test_test_scenes_differ_from_training_scenes(finished):
-    colours = {tuple(s.triangles.material[2]) for split in ("train", "test") for s in scenes(finished, split)}
-    assert len(colours) == 7
+    colors = {tuple(s.triangles.material[2]) for split in ("train", "test") for s in scenes(finished, split)}
+    assert len(colors) == 7
 
 
 def test_the_same_command_again_does_nothing(copied, finished):

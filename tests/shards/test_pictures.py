@@ -46,15 +46,15 @@ def test_a_panel_shows_every_view_of_a_sample(sheets):
             assert column[name][gbuffer.hit].any()
 
 
-def test_each_object_has_one_colour_of_its_own(sheets):
+def test_each_object_has_one_color_of_its_own(sheets):
     scene = PackedScene("still life", still_life(), look_at((0.3, -1.5, 0.9))[None], np.array([40.0], np.float32))
     sample = stored_sample(scene)
     sample_panel(sample)
     seen, gbuffer = sheets["columns"]["objects"][0], sample.gbuffers[0]
     ids = np.where(gbuffer.hit, sample.triangles.object_index[gbuffer.triangle], -1)
-    colours = {index: np.unique(seen[ids == index], axis=0) for index in np.unique(ids)}
-    assert all(len(colour) == 1 for colour in colours.values())
-    assert len({tuple(colour[0]) for colour in colours.values()}) == len(colours) > 1
+    colors = {index: np.unique(seen[ids == index], axis=0) for index in np.unique(ids)}
+    assert all(len(color) == 1 for color in colors.values())
+    assert len({tuple(color[0]) for color in colors.values()}) == len(colors) > 1
 
 
 def test_direct_radiance_weighs_each_lobe_with_its_albedo():

@@ -40,7 +40,7 @@ def moved(before: Scene) -> Scene:
     return changed(before, "peak_1", transform=Transform(normalize=False, translation=(0.1, -0.3, 0.2)))
 
 
-def recoloured(before: Scene) -> Scene:
+def recolored(before: Scene) -> Scene:
     return changed(before, "peak_1", material=MATTE.model_copy(update={"diffuse": (0.1, 0.7, 0.2)}))
 
 

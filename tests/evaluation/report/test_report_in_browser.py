@@ -24,7 +24,7 @@ def wipe(page):
 def _share_of_prediction(wipe) -> float:
     """Return the share of a line across the picture that is red, like the prediction; the reference is blue."""
     line = picture_of(wipe)[40].astype(int)
-    red, blue = (np.abs(line - colour).max(axis=1) < 40 for colour in (RED, BLUE))
+    red, blue = (np.abs(line - color).max(axis=1) < 40 for color in (RED, BLUE))
     assert (red | blue).mean() > 0.9  # except for the line between them
     if red.any() and blue.any():
         assert np.flatnonzero(red).max() < np.flatnonzero(blue).min()  # on the left

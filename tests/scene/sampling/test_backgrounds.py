@@ -53,9 +53,9 @@ def test_the_open_side_is_in_front_of_the_panels_as_they_stand_in_the_world(draw
             assert facing == pytest.approx(1, abs=1e-4)
 
 
-def test_the_centre_of_the_scene_is_well_inside_the_open_side(drawn):
-    centre = np.random.default_rng(1).uniform(-0.2, 0.2, (200, 3))
-    assert min(b.open_region.distances(centre).min() for b in drawn) > 0
+def test_the_center_of_the_scene_is_well_inside_the_open_side(drawn):
+    center = np.random.default_rng(1).uniform(-0.2, 0.2, (200, 3))
+    assert min(b.open_region.distances(center).min() for b in drawn) > 0
 
 
 def test_panels_stay_within_their_ranges(drawn):

@@ -90,7 +90,7 @@ def test_changing_one_component_leaves_the_others_as_they_were():
         assert (before.material == after.material) != before.name.startswith("object_")
 
 
-def test_names_are_those_of_renderformer_and_transforms_need_no_normalisation():
+def test_names_are_those_of_renderformer_and_transforms_need_no_normalization():
     scene = draw(QUICKSTART, 1, 1)
     assert scene.name == "quickstart"
     assert [kind for kind in ("background", "object", "light") for _ in objects(scene, kind)] == [

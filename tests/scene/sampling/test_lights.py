@@ -44,7 +44,7 @@ def test_lights_are_apart_and_at_the_published_distance(drawn):
         positions = np.array([light.transform.translation for light in lights])
         for a, b in combinations(positions, 2):
             assert np.linalg.norm(a - b) > 0.3
-        # The target is within ±0.2 per axis of the centre.
+        # The target is within ±0.2 per axis of the center.
         distance = np.linalg.norm(positions, axis=1)
         assert (distance >= 2.1 - 0.2 * 3**0.5).all()
         assert (distance <= 2.7 + 0.2 * 3**0.5).all()

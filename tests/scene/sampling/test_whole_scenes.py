@@ -104,7 +104,7 @@ def test_one_to_eight_lights_and_all_four_backgrounds_equally_often(name):
 
 
 @each_family
-def test_neighbours_in_the_list_of_objects_are_independent(name):
+def test_neighbors_in_the_list_of_objects_are_independent(name):
     rows = []
     for scene in drawn(name):
         for a, b in list(pairwise(objects(scene, "object")))[:4]:

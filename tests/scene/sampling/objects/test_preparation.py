@@ -29,7 +29,7 @@ def prepared(tmp_path, mesh, preparation=STRICT, name="mesh.ply"):
 
 
 @pytest.mark.parametrize("name", ["mesh.ply", "mesh.stl", "mesh.obj", "mesh.glb"])
-def test_a_fine_mesh_is_decimated_normalised_and_still_closed(tmp_path, name):
+def test_a_fine_mesh_is_decimated_normalized_and_still_closed(tmp_path, name):
     BALL.apply_translation((3, 0, 0))
     result = prepared(tmp_path, BALL, name=name)
     assert result.faces_before == 1280

@@ -29,7 +29,7 @@ def times_covered(mesh, points):
 @pytest.mark.parametrize("deformed", [0.0, 1.0])
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("target", [12, 50, 151, 300, 1200])
-def test_every_kind_is_closed_outward_normalised_and_of_the_asked_count(kind, target, deformed):
+def test_every_kind_is_closed_outward_normalized_and_of_the_asked_count(kind, target, deformed):
     source = one_kind(kind, deformed)
     for number in range(5):
         mesh = source.mesh(number, target)

@@ -20,7 +20,7 @@ def test_frames_are_right_handed_and_turn_smoothly(draw, closed):
         assert cosine.min() > 0.5  # also where a closed curve's ends meet
 
 
-def test_neighbouring_turns_of_a_spring_limit_its_thickness():
+def test_neighboring_turns_of_a_spring_limit_its_thickness():
     angle = np.linspace(0, 8 * np.pi, 120)
     helix = Curve(np.stack([np.cos(angle), np.sin(angle), 0.05 * angle], axis=1), closed=False)
     assert helix.free_radius() == pytest.approx(0.05 * np.pi, rel=0.05)
