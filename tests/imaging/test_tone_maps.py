@@ -3,10 +3,7 @@
 import numpy as np
 import pytest
 import torch
-from hydra import compose, initialize_config_dir
-from hydra.utils import instantiate
 
-from rfpp.commands import CONFIG_DIR
 from rfpp.imaging.tone_maps import SRGB, AgX, Perceptual
 
 ALL = (SRGB, Perceptual, AgX)
@@ -70,10 +67,3 @@ def test_agx_fades_bright_colors_to_white():
     dark, bright, glaring = (saturation(AgX().display(color(4 * x, x, x))) for x in (0.02, 0.5, 8.0))
     assert dark > bright > glaring
     assert dark > 0.3
-
-
-@pytest.mark.parametrize("kind", ALL)
-def test_each_is_a_yaml_file(kind):
-    with initialize_config_dir(str(CONFIG_DIR / "render"), version_base="1.3"):
-        cfg = compose("render", overrides=[f"tone_map={kind.__name__.lower()}"])
-    assert type(instantiate(cfg.tone_map, stops=-1.5)) is kind
