@@ -34,7 +34,7 @@ def pytest_ignore_collect(collection_path, config):
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items):
-    """What slow_tests.txt names is marked `slow`."""
+    """Mark the tests in slow_tests.txt as `slow`."""
     slow = tuple(line for line in _SLOW.read_text(encoding="utf-8").splitlines() if line and line[0] != "#")
     for item in items:
         if item.nodeid.startswith(slow):
@@ -43,7 +43,7 @@ def pytest_collection_modifyitems(items):
 
 @pytest.hookimpl(trylast=True)
 def pytest_sessionfinish(session, exitstatus):
-    """A thread or a child that is waited for without end is named, and not waited for."""
+    """Print stacks and exit if threads or child processes keep the session from ending."""
     if hasattr(session.config, "workerinput"):
         return  # one of several processes waits for the others, and is ended with them
 

@@ -39,7 +39,7 @@ def test_settings_by_name_include_their_defaults():
     ("given", "said"),
     [
         ("calendar.first.month=13", "error: calendar.first: month must be in 1..12\n"),
-        ("+calendar.first.colour=1", "error: calendar.first: .*keyword argument.*\n"),
+        ("+calendar.first.color=1", "error: calendar.first: .*keyword argument.*\n"),
         ("calendar.share.denominator=0", "error: calendar.share: Fraction.*0.*\n"),
     ],
 )

@@ -22,16 +22,8 @@ def test_the_first_line_comes_early_with_an_estimate_of_the_time():
     assert written == ["steps 10 of 650, 0.5 per second, about 0:21:20 left"]
 
 
-def test_then_one_line_per_minute():
-    assert len(lines_at((2.0 * step, step) for step in range(132))) == 5
-
-
 def test_things_done_before_do_not_count_as_speed():
     assert lines_at([(0.0, 600), (5.0, 610)]) == ["steps 610 of 650, 2 per second, about 0:00:20 left"]
-
-
-def test_there_is_no_line_at_the_end():
-    assert lines_at([(0.0, 0), (100.0, 650)]) == []
 
 
 def test_files_get_lines_and_terminals_a_bar():

@@ -19,6 +19,8 @@ from rfpp.raycast.first_hit import stack_channels
 from rfpp.scene.packed import PackedScene
 
 Image = Float[np.ndarray, "h w 3"]
+#: Bounces that a viewer offers to look at; a scene takes as many as it needs.
+_SHOWN_BOUNCES = 8
 
 
 class RadiosityEngine:
@@ -36,7 +38,7 @@ class RadiosityEngine:
 
     def __init__(self, radiosity: Radiosity, device: torch.device, dtype: torch.dtype):
         self.module = radiosity.to(device).eval()
-        self.device, self.dtype, self.iterations = device, dtype, radiosity.bounces
+        self.device, self.dtype, self.iterations = device, dtype, _SHOWN_BOUNCES
         self.source = RadiositySource()
 
     def views(self, plan: Plan, light: str | None = None, is_refined: bool = True) -> Iterator[Image]:

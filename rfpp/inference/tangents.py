@@ -55,13 +55,13 @@ class DifferentiableInputs:
         triangle, cell = (torch.from_numpy(x).long().to(self.device) for x in (sources.triangle, sources.cell))
         sums = self.change.new_zeros(len(value), 10).index_add(0, cell, self.change[triangle])
         mean = sums / cell.bincount(minlength=len(value))[:, None]
-        direct, highlights = value.direct, value.highlights + self._by_albedo(sources.highlights)
+        direct, bounced = value.direct, value.bounced + self._by_albedo(sources.bounced)
         for light, change in self.lights.items():
             alone = self.source.cells(self._white.triangles, light)[0]
             direct = direct + torch.from_numpy(alone.direct).to(self.device) * change
-            highlights = highlights + torch.from_numpy(alone.highlights).to(self.device) * change
+            bounced = bounced + torch.from_numpy(alone.bounced).to(self.device) * change
         diffuse, specular = value.diffuse + mean[:, DIFFUSE], value.specular + mean[:, SPECULAR]
-        return replace(value, diffuse=diffuse, specular=specular, direct=direct, highlights=highlights).conserving()
+        return replace(value, diffuse=diffuse, specular=specular, direct=direct, bounced=bounced).conserving()
 
     def view(self, number: int, cells: int) -> View:
         """Return a view with derivatives of its channels and bounced light.

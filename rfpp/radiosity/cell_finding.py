@@ -24,12 +24,12 @@ class CellSources:
     Attributes:
         triangle: Triangles of the points over which albedos are averaged.
         cell: Cells of those points.
-        highlights: Derivatives of the highlights.
+        bounced: Derivatives of the bounced light.
     """
 
     triangle: Int[np.ndarray, " p"]
     cell: Int[np.ndarray, " p"]
-    highlights: Trace
+    bounced: Trace
 
 
 def find_cells(sampler: LightSampler) -> tuple[Cells, CellMap]:
@@ -58,11 +58,12 @@ def cells_at(places: CellPlaces, sampler: LightSampler) -> tuple[Cells, CellSour
         diffuse=mean(material[:, DIFFUSE]),
         specular=mean(material[:, SPECULAR]),
         direct=mean(direct),
-        highlights=ends.highlights.reshape(-1, RAYS, 3).mean(1).astype(np.float32),
+        bounced=ends.light.reshape(-1, RAYS, 3).mean(1).astype(np.float32),
         hits=ends.cell.reshape(-1, RAYS).astype(np.int32),
         onward=ends.onward.reshape(-1, RAYS).astype(np.int32),
     )
-    highlights = Trace.of(len(cells), RAYS)
-    highlights.triangle[:] = ends.triangle.clip(0).reshape(-1, RAYS)
-    highlights.specular[:] = ends.slope.reshape(-1, RAYS, 3) / RAYS
-    return cells, CellSources(seen.triangle, places.cell, highlights)
+    bounced = Trace.of(len(cells), RAYS)
+    bounced.triangle[:] = ends.triangle.clip(0).reshape(-1, RAYS)
+    bounced.diffuse[:] = ends.by_diffuse.reshape(-1, RAYS, 3) / RAYS
+    bounced.specular[:] = ends.by_specular.reshape(-1, RAYS, 3) / RAYS
+    return cells, CellSources(seen.triangle, places.cell, bounced)

@@ -9,12 +9,15 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Float, Int
 
+from rfpp.radiosity.cell_splits import NO_SPLITS, CellSplits
 from rfpp.radiosity.cell_table import DIRECTIONS, MOST_PIECES, NOWHERE, SIDES, CellTable, keys_each
 from rfpp.raycast.threads import over_rows
 from rfpp.scene.triangles import SceneTriangles
 
 #: Half an object is cut into so many pieces along an axis that they are about this long, in world units.
-CELL_EDGE = 0.2
+CELL_EDGE = 0.1
+#: Triangles up to which edges are looked for, and the cosine between two normals below which they meet at a crease.
+_MOST_TRIANGLES, _CREASE = 4096, 0.87
 #: Moments that differ by less than this share are of a symmetric object, whose axes they do not tell.
 _SYMMETRIC = 1e-3
 
@@ -81,22 +84,22 @@ class CellGrid:
     ) -> Int[np.ndarray, " r"]:
         """A number for the cell of each point on the front or the back of a triangle; the same for the same cell."""
         keys = np.empty(len(triangle), np.int64)
-        over_rows(len(keys), keys_each, self._table(np.zeros(0, np.int64)), triangle, point, back, keys)
+        over_rows(len(keys), keys_each, self._table(np.zeros(0, np.int64), NO_SPLITS), triangle, point, back, keys)
         return keys
 
-    def table(self, keys: Int[np.ndarray, " k"], cell: Int[np.ndarray, " k"]) -> CellTable:
-        """What loops read, with the cells of these keys, which ascend."""
+    def table(self, keys: Int[np.ndarray, " k"], cell: Int[np.ndarray, " k"], splits: CellSplits) -> CellTable:
+        """Return arrays for compiled loops, with the cells or splits of these keys, which ascend."""
         coarse, first = np.unique(self._sides_of_octants(keys), return_index=True)
         of_side = np.full(8 * SIDES * len(self.pieces), NOWHERE)
         of_side[coarse] = cell[first]
         every = of_side[self._sides_of_octants(np.arange(self.first[-1]))]
         every[keys] = cell
-        return self._table(every)
+        return self._table(every, splits)
 
-    def _table(self, cell: Int[np.ndarray, " keys"]) -> CellTable:
+    def _table(self, cell: Int[np.ndarray, " keys"], splits: CellSplits) -> CellTable:
         owner = self.triangles.object_index.astype(np.int64)
         placed = self.centroid, self.axes, self.half, self.pieces
-        return CellTable(owner, self._direction, *placed, self.first[:-1], cell)
+        return CellTable(owner, self._direction, *placed, self.first[:-1], cell, splits.plane, splits.child)
 
     def octants(self, keys: Int[np.ndarray, " c"]) -> Int[np.ndarray, " c"]:
         """8 · object + octant of each cell."""
@@ -110,11 +113,11 @@ class CellGrid:
 
 
 def principal_axes(corners: Float[np.ndarray, "m 3 3"]) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, "3 3"]]:
-    """Centroid of a surface and its principal axes, as rows, longest first, each towards the heavier tail.
+    """Return the centroid of a surface and its principal axes, as rows, longest first, each towards the heavier tail.
 
-    Second moments are exact over triangles. What a symmetric object leaves open its vertices decide, in their order, so
-    that rounding does not, which differs between processors: axes point to the first of the farthest vertices, and
-    where no tail is heavier, to the first of those that lie farthest along them.
+    Second moments are exact over triangles. Axes that symmetry leaves open follow the longest edge of the object's
+    outline or crease, so that cells of walls and boxes are parallel to them; without edges they point to the farthest
+    vertex. Ties go to the first in order, never to rounding, which differs between processors.
     """
     area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=-1)
     area = area / max(area.sum(), 1e-30)
@@ -129,7 +132,9 @@ def principal_axes(corners: Float[np.ndarray, "m 3 3"]) -> tuple[Float[np.ndarra
     while open_axes:
         alike = [axis for axis, s in zip(open_axes, sizes, strict=True) if sizes[0] - s <= _SYMMETRIC * size[-1]]
         if len(alike) > 1:
-            within = np.einsum("vi,ki->vk", vertices, np.stack(alike))
+            plane = np.stack(alike)
+            edges = feature_edges(corners) @ plane.T
+            within = edges if len(edges) and np.square(edges).sum() > 0 else vertices @ plane.T
             farthest = within[_first_largest(np.square(within).sum(-1))]
             turned = np.linalg.qr(np.column_stack([farthest, np.eye(len(alike))]))[0].T @ np.stack(alike)
             open_axes[: len(alike)] = list(turned)
@@ -144,6 +149,25 @@ def principal_axes(corners: Float[np.ndarray, "m 3 3"]) -> tuple[Float[np.ndarra
     if abs(ends[2]) <= _SYMMETRIC * abs(ends[0]):  # flat
         rows[2] = np.cross(rows[0], rows[1])
     return centroid, rows
+
+
+def feature_edges(corners: Float[np.ndarray, "m 3 3"]) -> Float[np.ndarray, "n 3"]:
+    """Return the vectors of the edges at outlines and creases, where fewer or more than two flush triangles meet."""
+    if len(corners) > _MOST_TRIANGLES:
+        return np.zeros((0, 3))
+    reach = max(np.abs(corners - corners[0, 0]).max(), 1e-30)
+    places = np.rint((corners.reshape(-1, 3) - corners[0, 0]) / (1e-5 * reach)).astype(np.int64)
+    vertex = np.unique(places, axis=0, return_inverse=True)[1].reshape(-1, 3)
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal = cross / np.maximum(np.linalg.norm(cross, axis=-1, keepdims=True), 1e-30)
+    ends = np.sort(vertex[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    vector = (corners[:, [1, 2, 0]] - corners).reshape(-1, 3)
+    _, first, edge, count = np.unique(ends, axis=0, return_index=True, return_inverse=True, return_counts=True)
+    edge, of_edge = edge.reshape(-1), np.repeat(normal, 3, axis=0)
+    flush = np.full(len(first), np.inf)
+    np.minimum.at(flush, edge, np.abs((of_edge * of_edge[first[edge]]).sum(-1)))
+    features: Float[np.ndarray, "n 3"] = vector[np.sort(first[(count != 2) | (flush < _CREASE)])]
+    return features
 
 
 def _first_largest(values: Float[np.ndarray, " n"]) -> int:

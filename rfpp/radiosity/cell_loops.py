@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from rfpp.radiosity.cell_table import NOWHERE, CellTable, key_at
+from rfpp.radiosity.cell_table import NOWHERE, CellTable, cell_at
 from rfpp.raycast.compiled import compiled, int64
 from rfpp.raycast.counted_random import Key, key_of, uniform
 from rfpp.raycast.ggx import lobe_and_pdf
@@ -90,7 +90,7 @@ def followed(
         return End(triangle, NOWHERE, NOWHERE, BLACK, BLACK, BLACK)
     cell = _cell_met(scene, table, triangle, way, there)
     # a ray that starts on another surface, where two touch, ends where it starts: it is not seen from anywhere
-    if scene.emitter[triangle] >= 0 or distance <= 0:
+    if distance <= 0:
         return End(triangle, cell, NOWHERE, BLACK, BLACK, BLACK)
     diffuse, specular = triple(scene.material[triangle]), triple(scene.material[triangle, 3:6])
     point, normal, back = surface_there(scene, triangle, a, b, way, there)
@@ -163,16 +163,16 @@ def follow_each(
     onward: Int[np.ndarray, " r"],
     light: Float[np.ndarray, "r 3"],
     triangle: Int[np.ndarray, " r"],
-    slope: Float[np.ndarray, "r 3"],
+    by_diffuse: Float[np.ndarray, "r 3"],
+    by_specular: Float[np.ndarray, "r 3"],
 ) -> None:
-    """Rays one by one; see `followed`."""
+    """Follow rays one by one; see `followed`."""
     for row in range(start, stop):
         of_ray, origin, way = key_of(key, row), triple(origins[row]), triple(ways[row])
-        # what leaves to all sides of a cell is for the network to move
-        end = followed(scene, table, origin, way, density[row], of_ray, False, True, row)
+        end = followed(scene, table, origin, way, density[row], of_ray, True, True, row)
         triangle[row], cell[row], onward[row] = end.triangle, end.cell, end.onward
         for c in range(3):
-            light[row, c], slope[row, c] = end.light[c], end.by_specular[c]
+            light[row, c], by_diffuse[row, c], by_specular[row, c] = end.light[c], end.by_diffuse[c], end.by_specular[c]
 
 
 @compiled
@@ -268,5 +268,4 @@ def _of_lattice(number: int, count: int, key: Key) -> tuple[float, float]:
 def _cell_met(scene: LitScene, table: CellTable, triangle: int, way: Vector, point: Vector) -> int:
     a, b, c = scene.positions[triangle]
     back = dot(normal_of(triple(a), triple(b), triple(c)), way) > 0
-    cell: int = table.cell[key_at(table, triangle, point, back)]
-    return cell
+    return cell_at(table, triangle, point, back)

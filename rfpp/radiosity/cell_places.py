@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from rfpp.radiosity.cell_grid import CellGrid
+from rfpp.radiosity.cell_splits import split_cells
 from rfpp.radiosity.cell_table import NOWHERE
 from rfpp.radiosity.cells import CellMap
 from rfpp.raycast.compiled import compiled
@@ -75,17 +76,20 @@ def find_places(triangles: SceneTriangles, caster: RayCaster) -> CellPlaces:
     even = _even_points(triangles, grid, rng)
     keys_of_points = even.keys(grid)
     keys = np.flatnonzero(np.bincount(keys_of_points))
-    cell = np.searchsorted(keys, keys_of_points)
-    everywhere = CellMap(grid, keys, np.arange(len(keys)))
+    whole = np.searchsorted(keys, keys_of_points)
+    entry, splits, cell = split_cells(triangles, caster, even.position, even.normal(triangles), whole)
+    owner_of_cell = np.empty(cell.max() + 1, np.int64)
+    owner_of_cell[cell] = triangles.object_index[even.triangle]
+    everywhere = CellMap(grid, keys, entry, splits)
     order = np.argsort(cell, kind="stable")
     even, cell = even.part(order), cell[order]
     hits, met = _where_light_goes(triangles, caster, everywhere, even, cell, rng)
-    kept = _reached(hits, keys, grid)
+    kept = _reached(hits, owner_of_cell)
     renumbered = np.append(np.where(kept, np.cumsum(kept) - 1, NOWHERE), NOWHERE)
     seen, of_cell = _seen_points(even, cell, met, hits[hits != NOWHERE], renumbered, rng)
     normal = seen.normal(triangles)
     return CellPlaces(
-        map=CellMap(grid, keys, renumbered[:-1]),
+        map=CellMap(grid, keys, np.where(entry >= 0, renumbered[entry], entry), splits.renumbered(renumbered)),
         points=seen,
         cell=of_cell,
         normal=normal,
@@ -230,9 +234,8 @@ def _seen_points(
     return SidePoints(*every).part(order), owner[rank < enough]
 
 
-def _reached(hits: Int[np.ndarray, "c rays"], keys: Int[np.ndarray, " c"], grid: CellGrid) -> np.ndarray:
+def _reached(hits: Int[np.ndarray, "c rays"], owner: Int[np.ndarray, " c"]) -> np.ndarray:
     """Return a mask [C] of the cells from which light of more than one object's inside can be reached."""
-    owner = grid.octants(keys) // 8
     reached: np.ndarray = ((hits == NOWHERE) | (owner[hits] != owner[:, None])).any(-1)
     while (more := reached | (reached[hits] & (hits != NOWHERE)).any(-1)).sum() > reached.sum():
         reached = more

@@ -13,7 +13,7 @@ from rfpp.raycast.vectors import Vector, dot, triple
 #: What a ray's end is called that meets no cell.
 NOWHERE = -1
 #: Half an object is cut into so many pieces along an axis at most.
-MOST_PIECES = 4
+MOST_PIECES = 10
 #: An object that reaches less far along an axis than this share of its greatest reach is flat.
 FLAT = 1e-4
 #: Directions of a triangle in its object's axes: forwards or backwards along one of three; and its two sides.
@@ -28,7 +28,8 @@ class CellTable(NamedTuple):
         centroid, axes, half, pieces: see `CellGrid`.
         first: [O] key of each object.
         cell: of every key there can be: where none of our points lay, any of the same octant and side; NOWHERE where
-            there is none, or no light can reach it.
+            there is none, or no light can reach it; below that a split (`rfpp.radiosity.cell_splits`).
+        plane, child: see `CellSplits`.
     """
 
     owner: Int[np.ndarray, " m"]
@@ -39,6 +40,34 @@ class CellTable(NamedTuple):
     pieces: Int[np.ndarray, "o 3"]
     first: Int[np.ndarray, " o"]
     cell: Int[np.ndarray, " keys"]
+    plane: Float[np.ndarray, "s 4"]
+    child: Int[np.ndarray, "s 2"]
+
+
+@compiled
+def cell_at(table: CellTable, triangle: int, point: Vector, back: bool) -> int:
+    """Return the cell of a point on the front or the back of a triangle; NOWHERE if none."""
+    cell: int = table.cell[key_at(table, triangle, point, back)]
+    while cell < NOWHERE:
+        split = NOWHERE - 1 - cell
+        plane = table.plane[split]
+        cell = table.child[split, 1 if dot(plane, point) > plane[3] else 0]
+    return cell
+
+
+@compiled
+def cells_each(
+    start: int,
+    stop: int,
+    table: CellTable,
+    triangle: Int[np.ndarray, " r"],
+    points: Float[np.ndarray, "r 3"],
+    back: Bool[np.ndarray, " r"],
+    cells: Int[np.ndarray, " r"],
+) -> None:
+    """Fill in the cells of points; see `cell_at`."""
+    for row in range(start, stop):
+        cells[row] = cell_at(table, triangle[row], triple(points[row]), back[row])
 
 
 @compiled

@@ -22,14 +22,14 @@ class CellTensors:
     diffuse: Float[Tensor, "c 3"]
     specular: Float[Tensor, "c 3"]
     direct: Float[Tensor, "c 3"]
-    highlights: Float[Tensor, "c 3"]
+    bounced: Float[Tensor, "c 3"]
     hits: Int[Tensor, "c rays"]
     onward: Int[Tensor, "c rays"]
 
     @classmethod
     def of(cls, cells: Cells, device: torch.device | str) -> CellTensors:
         """Move a scene's cells to a device."""
-        names = ("diffuse", "specular", "direct", "highlights", "hits", "onward")
+        names = ("diffuse", "specular", "direct", "bounced", "hits", "onward")
         moved = {name: torch.from_numpy(getattr(cells, name)).to(device) for name in names}
         rays = {name: row_of(moved[name], len(cells)) for name in ("hits", "onward")}
         return cls(**{**moved, **rays}).conserving()
@@ -45,49 +45,43 @@ class CellTensors:
 
 @dataclass(frozen=True)
 class LitCells:
-    """Light at cells after k bounces, as irradiance / π.
+    """Indirect light at cells after k bounces, as irradiance / π.
 
     Attributes:
         cells: The cells.
-        irradiance: [C, 3] light that has bounced at most k times.
-        before: [C, 3] light that has bounced at most k - 1 times.
+        indirect: [C, 3] light that has bounced between 1 and k times.
+        before: [C, 3] light, direct light included, that has bounced at most k - 1 times; zero for k = 0.
     """
 
     cells: CellTensors
-    irradiance: Float[Tensor, "c 3"]
+    indirect: Float[Tensor, "c 3"]
     before: Float[Tensor, "c 3"]
 
     def bounced(self) -> LitCells:
-        """Return the light after one more bounce.
-
-        Diffuse light leaves the cell in which a ray ends. Its glossy lobe returns highlights of the emitters and, of
-        the light two bounces ago, what the cell sends that the reflected ray meets.
-        """
-        cells = self.cells
-        diffuse = of_rays(cells.diffuse * self.irradiance, cells.hits)
-        glossy = of_rays(cells.specular, cells.hits) * of_rays(self.leaving_before, cells.onward)
-        return LitCells(cells, cells.direct + cells.highlights + (diffuse + glossy).mean(1), self.irradiance)
+        """Return the light after one more bounce."""
+        indirect = self.cells.bounced + self.toward(self.cells.hits, self.cells.onward).mean(1)
+        return LitCells(self.cells, indirect, self.cells.direct + self.indirect)
 
     def toward(self, hits: Int[Tensor, "*rays"], onward: Int[Tensor, "*rays"]) -> Float[Tensor, "*rays 3"]:
         """Return the radiance that rays bring from where they end, except direct light reflected there.
+
+        Diffuse light leaves the cell in which a ray ends. Its glossy lobe returns, of the light one bounce earlier,
+        what leaves the cell that the reflected ray hits.
 
         Args:
             hits: Rows of the cells in which rays end.
             onward: Rows of the cells that the glossy lobe sees from there.
         """
         cells = self.cells
-        diffuse = of_rays(cells.diffuse * (self.irradiance - cells.direct), hits)
-        return diffuse + of_rays(cells.specular, hits) * of_rays(self.leaving_before, onward)
-
-    @property
-    def leaving_before(self) -> Float[Tensor, "c 3"]:
-        """Radiance that leaves in all directions, of the light one bounce ago."""
-        return (self.cells.diffuse + self.cells.specular) * self.before
+        leaving_before = (cells.diffuse + cells.specular) * self.before
+        reflected = of_rays(cells.specular, hits) * of_rays(leaving_before, onward)
+        return of_rays(cells.diffuse * self.indirect, hits) + reflected
 
 
 def lit_directly(cells: CellTensors) -> LitCells:
-    """Return cells lit by the emitters alone, from which bounces start."""
-    return LitCells(cells, cells.direct, torch.zeros_like(cells.direct))
+    """Return cells without indirect light, from which bounces start."""
+    dark = torch.zeros_like(cells.direct)
+    return LitCells(cells, dark, dark)
 
 
 def row_of(cell: Int[Tensor, "*rays"], cells: int) -> Int[Tensor, "*rays"]:

@@ -7,7 +7,7 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from rfpp.radiosity.cell_tensors import CellTensors, LitCells, lit_directly
+from rfpp.radiosity.cell_tensors import CellTensors, LitCells, lit_directly, of_rays
 from rfpp.radiosity.joint_window import JointWindow
 from rfpp.radiosity.refinement import Refinement
 from rfpp.radiosity.sample_means import means, repeated
@@ -17,14 +17,19 @@ from rfpp.radiosity.view import View
 #: path-traced images do not.
 _PIXEL_FILTER = 0.125
 
+#: Share of light that may be missing, and the bounces after which to stop in any case.
+_REMAINING, _MOST_BOUNCES = 1e-3, 256
+
 
 class Radiosity(nn.Module):
     """Ray-cast radiosity, and a U-Net that refines the finished image.
 
     The unrefined image is linear in the scene's lights and in each of its bounces.
 
+    Light moves between cells until little of it is left; the number of bounces depends on geometry and albedos alone,
+    so that images of several lights are sums.
+
     Args:
-        bounces: Bounces between cells.
         refinement: Correction of finished images; None leaves them as they are.
     """
 
@@ -33,19 +38,19 @@ class Radiosity(nn.Module):
         "albedo", "specular", "roughness", "normal", "position", "direct_diffuse", "direct_glossy", "reflected_light",
     )  # fmt: skip
 
-    def __init__(self, bounces: int = 8, refinement: Refinement | None = None):
+    def __init__(self, refinement: Refinement | None = None):
         super().__init__()
-        self.bounces, self.window, self.refinement = bounces, JointWindow(), refinement
+        self.window, self.refinement = JointWindow(), refinement
 
     def solve(self, cells: CellTensors, bounces: int | None = None) -> list[LitCells]:
         """Return the cells after 0, 1, … bounces.
 
         Args:
             cells: Cells of one scene.
-            bounces: Number of bounces; None for `self.bounces`.
+            bounces: Number of bounces; None for as many as the scene needs.
         """
         lit = [lit_directly(cells)]
-        for _ in range(self.bounces if bounces is None else bounces):
+        for _ in range(_bounces_of(cells) if bounces is None else bounces):
             lit.append(lit[-1].bounced())
         return lit
 
@@ -81,6 +86,19 @@ class Radiosity(nn.Module):
         glossy = lit.toward(view.glossy, view.glossy_onward).mean(0).permute(2, 0, 1)
         gathered = torch.cat([diffuse[None], glossy[None] + shared], dim=1)
         return self.window(gathered, view.pixels(JointWindow.channels))
+
+
+@torch.no_grad()
+def _bounces_of(cells: CellTensors) -> int:
+    """Return the number of bounces after which even light is down to a thousandth of what it has added up to."""
+    left = torch.ones_like(cells.diffuse)
+    total, albedo = left.sum(), cells.diffuse + cells.specular
+    for bounces in range(_MOST_BOUNCES):
+        left = of_rays(albedo * left, cells.hits).mean(1)
+        total = total + left.sum()
+        if left.sum() <= _REMAINING * total:
+            return bounces + 1
+    return _MOST_BOUNCES
 
 
 def _filtered(radiance: Float[Tensor, "n 3 h w"], points: int) -> Float[Tensor, "n 3 h w"]:

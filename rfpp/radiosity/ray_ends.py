@@ -25,16 +25,18 @@ class RayEnds(NamedTuple):
     Attributes:
         cell: Cell in which the ray ends; NOWHERE if it escapes.
         onward: Cell in which its glossy continuation ends; NOWHERE if it escapes or the lobe absorbs it.
-        highlights: Radiance of the emitters that returns along the ray by way of the glossy lobe.
+        light: Radiance of the surface there towards the ray's origin, as the emitters light it.
         triangle: Triangle on which the ray ends; -1 if none.
-        slope: Derivative of the highlights by the specular albedo there.
+        by_diffuse: Derivative of the light by the diffuse albedo there.
+        by_specular: Derivative of the light by the specular albedo there.
     """
 
     cell: Int[np.ndarray, " r"]
     onward: Int[np.ndarray, " r"]
-    highlights: Float[np.ndarray, "r 3"]
+    light: Float[np.ndarray, "r 3"]
     triangle: Int[np.ndarray, " r"]
-    slope: Float[np.ndarray, "r 3"]
+    by_diffuse: Float[np.ndarray, "r 3"]
+    by_specular: Float[np.ndarray, "r 3"]
 
 
 def follow_rays(
@@ -57,8 +59,8 @@ def follow_rays(
     """
     count = len(origin)
     cell, onward, triangle = np.empty((3, count), np.int64)
-    highlights, slope = np.empty((2, count, 3))
-    ends = RayEnds(cell, onward, highlights, triangle, slope)
+    light, by_diffuse, by_specular = np.empty((3, count, 3))
+    ends = RayEnds(cell, onward, light, triangle, by_diffuse, by_specular)
     key = int(rng.integers(1 << 62))
     over_rows(count, follow_each, sampler.scene, cells.table, origin, direction, density, key, *ends)
     return ends

@@ -26,7 +26,7 @@ from jaxtyping import Float, Float32
 
 from rfpp.raycast.first_hit import DirectLight, GBuffer, Reflection
 from rfpp.raycast.light_sampler import LightSampler
-from rfpp.raycast.pixel_loops import SUMS, light_samples, lobe_rays, of_light, to_image
+from rfpp.raycast.pixel_loops import SUMS, light_samples, lobe_rays, of_light, shares_around, to_image
 from rfpp.raycast.polygon_light import ROOM
 from rfpp.raycast.shadow_edges import find_edges
 from rfpp.raycast.surface import Points, Surface
@@ -103,4 +103,6 @@ def _add_light(
         counts = np.zeros(len(edge), np.uint8), np.empty(size[1], np.uint8), np.zeros((len(edge), 3))
         find_edges(scene, number, points, sums, few, *size, _REACH, *counts, edge)
         over_rows(rows, light_samples, scene, number, points, few, samples, edge, key, sums)
-    over_rows(rows, of_light, scene, number, points, edge, few, samples, sums, unhidden, diffuse, glossy)
+    around = np.empty(len(edge))
+    shares_around(points, sums, *size, np.zeros((len(edge), 2)), around)
+    over_rows(rows, of_light, scene, number, points, around, edge, few, samples, sums, unhidden, diffuse, glossy)

@@ -2,85 +2,126 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from jaxtyping import Float
 
-from rfpp.raycast.compiled import compiled, float64
+from rfpp.raycast.compiled import compiled
 from rfpp.raycast.counted_random import Key, key_of, spread, uniform
 from rfpp.raycast.embree import blocked
 from rfpp.raycast.ggx import lobe_and_pdf, sampled
 from rfpp.raycast.lit_scene import CLEARANCE, LitScene, light_of, met, tinted
 from rfpp.raycast.polygon_light import of_triangle
+from rfpp.raycast.solid_angle import direction_within, solid_angle
 from rfpp.raycast.surface import Points
-from rfpp.raycast.vectors import BLACK, Triple, Vector, added, dot, in_frame, in_world, scaled, tangents, triple
+from rfpp.raycast.vectors import BLACK, Triple, Vector, added, dot, in_frame, in_world, mean, scaled, tangents, triple
 
 #: Lobes wider than this α find emitters by samples of the lights alone.
 WIDE = 0.1
 #: Lights that each of many rays samples where it ends.
 _AT_ONCE = 4
-#: See `sides_facing`.
-Sides = tuple[int, float]
+#: Solid angle up to which a triangle is sampled by area, in steradians: a sphere's triangle that small is flat.
+SMALL_ANGLE = 1e-5
+
+
+class LightTarget(NamedTuple):
+    """A light as a point sees it.
+
+    Attributes:
+        sides: A bit for each triangle of a solid light that faces the point; -1 for other lights.
+        irradiance: Unoccluded irradiance / π of the light's mean radiance; 0 for lights that are not exact.
+    """
+
+    sides: int
+    irradiance: float
 
 
 @compiled
 def light_sample(
-    scene: LitScene, light: int, sides: Sides, point: Vector, normal: Vector, u: float, v: float
-) -> tuple[int, Triple, float, float, bool]:
-    """A point of a light: its emitter, direction, density per solid angle, what would arrive of the mean radiance with
-    nothing in between, and whether nothing is.
+    scene: LitScene, light: int, target: LightTarget, point: Vector, normal: Vector, u: float, v: float
+) -> tuple[int, Vector, float, float, bool]:
+    """Draw a direction to a light.
+
+    Triangles of an exact light are chosen by their unoccluded irradiance and sampled by solid angle, so that the
+    irradiance of a sample stays bounded beside a light. Others are sampled by emitted power.
 
     Args:
-        sides: of the light, that face the point: see `sides_facing`.
+        scene: The scene.
+        light: Number of the light.
+        target: Result of `target_of`, for the same point.
+        point: Point that is lit.
+        normal: Its unit normal.
+        u: Uniform number.
+        v: Another one.
+
+    Returns:
+        Emitter, direction, density per solid angle, unoccluded irradiance of mean radiance / density, and whether the
+        direction is free. The density is 0 if the light does not shine on the point.
     """
-    share = sides[1]
-    e, rest = _facing_emitter(scene, light, sides[0], u * share) if share < 1 else _emitter_at(scene, light, u)
-    root = np.sqrt(min(max(rest, 0.0), 1.0))
-    to_a, to_b, to_c = 1 - root, root * (1 - v), root * v
-    a, b, c = scene.corners[e]
-    x = to_a * a[0] + to_b * b[0] + to_c * c[0] - point[0]
-    y = to_a * a[1] + to_b * b[1] + to_c * c[1] - point[1]
-    z = to_a * a[2] + to_b * b[2] + to_c * c[2] - point[2]
-    distance = np.sqrt(x * x + y * y + z * z)
-    way = (x / distance, y / distance, z / distance)
-    density, radiance = density_of(scene, e, way, distance) / share, scene.radiance[e]
+    if scene.exact[light]:
+        e, rest, probability = _emitter_by_irradiance(scene, light, target, point, normal, u)
+    else:
+        e, rest, probability = _emitter_at(scene, light, u)
+    if probability <= 0:
+        return e, normal, 0.0, 0.0, False
+    angle = solid_angle(point, scene.corners[e])
+    if angle > SMALL_ANGLE:
+        way = direction_within(point, scene.corners[e], rest, v)
+        corner, facing = scene.corners[e, 0], scene.facing[e]
+        toward = dot(way, facing)
+        away = (corner[0] - point[0], corner[1] - point[1], corner[2] - point[2])
+        distance = dot(away, facing) / toward if toward != 0 else 0.0
+        density = probability / angle
+    else:
+        root = np.sqrt(min(max(rest, 0.0), 1.0))
+        to_a, to_b, to_c = 1 - root, root * (1 - v), root * v
+        a, b, c = scene.corners[e]
+        x = to_a * a[0] + to_b * b[0] + to_c * c[0] - point[0]
+        y = to_a * a[1] + to_b * b[1] + to_c * c[1] - point[1]
+        z = to_a * a[2] + to_b * b[2] + to_c * c[2] - point[2]
+        distance = np.sqrt(x * x + y * y + z * z)
+        way = (x / distance, y / distance, z / distance)
+        density = probability * _density_by_area(scene, e, way, distance)
+    radiance = scene.radiance[e]
+    if scene.one_sided[e] and dot(way, scene.facing[e]) >= 0:
+        return e, way, density, 0.0, False
     arriving = (radiance[0] + radiance[1] + radiance[2]) / 3 * max(dot(way, normal), 0.0) / density
-    clear = arriving > 0 and not blocked(scene.address, point, way, distance - CLEARANCE)
+    clear = arriving > 0 and distance > 0 and not blocked(scene.address, point, way, distance - CLEARANCE)
     return e, way, density, arriving, clear
 
 
 @compiled
-def density_of(scene: LitScene, e: int, way: Vector, distance: float) -> float:
-    """Of samples of its light, per solid angle, at a point of an emitter; infinite for one seen edge-on."""
-    density: float = scene.density[e]
-    return density * distance * distance / abs(dot(way, scene.facing[e]))
+def density_of(scene: LitScene, e: int, point: Vector, normal: Vector, way: Vector, distance: float) -> float:
+    """Return the density per solid angle with which `light_sample` draws a direction that hits an emitter."""
+    light, probability = light_of(scene, e), scene.share[e]
+    if scene.exact[light]:
+        target = target_of(scene, light, point, normal)
+        probability = 0.0
+        if target.irradiance:
+            probability = _irradiance(scene, light, target, point, normal, e) / target.irradiance
+    angle = solid_angle(point, scene.corners[e])
+    within = 1 / angle if angle > SMALL_ANGLE else _density_by_area(scene, e, way, distance)
+    density: float = probability * within
+    return density
 
 
 @compiled
-def sides_facing(scene: LitScene, light: int, point: Vector) -> Sides:
-    """The sides of a light towards a point, which alone are sampled: a bit for each, and their share of its samples.
-
-    All of them (-1, 1) unless the light is solid, and where none face a point within it.
-    """
-    bits, share = 0, 0.0
+def target_of(scene: LitScene, light: int, point: Vector, normal: Vector) -> LightTarget:
+    """Return the sides of a light that face a point and, for an exact light, its unoccluded irradiance there."""
+    sides, total = -1, 0.0
+    if not scene.exact[light]:
+        return LightTarget(sides, total)
+    first = scene.first[light]
     if scene.solid[light]:
-        first = scene.first[light]
+        sides = 0
         for side in range(scene.first[light + 1] - first):
             if _faces(scene, first + side, point):
-                bits |= 1 << side
-                share += _share_of(scene, light, first + side)
-    return (bits, share) if share > 0 else (-1, 1.0)
-
-
-@compiled
-def by_formula(scene: LitScene, light: int, sides: Sides, point: Vector, normal: Vector, share: float) -> Triple:
-    """Irradiance / π of a light of which a share is in sight, by Lambert's formula."""
-    arriving, bits = BLACK, sides[0]
-    for e in range(scene.first[light], scene.first[light + 1]):
-        if bits & 1:
-            factor = of_triangle(point, normal, scene.corners[e]) * share
-            arriving = added(arriving, scaled(triple(scene.radiance[e]), factor))
-        bits >>= 1
-    return arriving
+                sides |= 1 << side
+    target = LightTarget(sides, 0.0)
+    for e in range(first, scene.first[light + 1]):
+        total += _irradiance(scene, light, target, point, normal, e)
+    return LightTarget(sides, total)
 
 
 @compiled
@@ -107,6 +148,7 @@ def emitter_light(
     scene: LitScene,
     emitter: int,
     point: Vector,
+    normal: Vector,
     way: Vector,
     distance: float,
     view: Vector,
@@ -115,10 +157,10 @@ def emitter_light(
 ) -> Triple:
     """What a ray of the lobe that has met an emitter brings, untinted and of single scattering."""
     light = light_of(scene, emitter)
-    if not scene.shining[light]:
+    if not scene.shining[light] or (scene.one_sided[emitter] and dot(way, scene.facing[emitter]) >= 0):
         return BLACK
     reflected, by_lobe = lobe_and_pdf(view, toward, alpha)
-    density = density_of(scene, emitter, way, distance) / sides_facing(scene, light, point)[1]
+    density = density_of(scene, emitter, point, normal, way, distance)
     return scaled(triple(scene.radiance[emitter]), reflected * over_density(by_lobe, density))
 
 
@@ -160,23 +202,19 @@ def direct_at(
         if not scene.shining[light] or (light + turn) % every != 0:
             continue
         shift_u, shift_v = uniform(key, 2 * light), uniform(key, 2 * light + 1)
-        sides, exact, visible, whole = sides_facing(scene, light, point), scene.exact[light], 0.0, 0.0
+        target = target_of(scene, light, point, normal)
         for s in range(samples):
             u, v = spread(s, shift_u, shift_v)
-            e, way, density, arriving, clear = light_sample(scene, light, sides, point, normal, u, v)
-            whole += arriving
+            e, way, density, _, clear = light_sample(scene, light, target, point, normal, u, v)
             if not clear:
                 continue
-            visible += arriving
             toward, radiance = in_frame(way, first, second, normal), triple(scene.radiance[e])
-            if not exact:
+            if wants_diffuse:
                 diffuse = added(diffuse, scaled(radiance, toward[2] / density / (np.pi * samples)))
             if alpha >= 0:
                 reflected, by_lobe = lobe_and_pdf(view, toward, alpha)
                 weight = reflected * (1 / density if alpha > WIDE else over_density(density, by_lobe)) / samples
                 glossy = added(glossy, scaled(radiance, weight))
-        if wants_diffuse and exact and visible > 0:
-            diffuse = added(diffuse, by_formula(scene, light, sides, point, normal, visible / whole))
     diffuse, glossy = scaled(diffuse, every), scaled(glossy, every)
     if alpha < 0:
         return diffuse, glossy
@@ -185,7 +223,7 @@ def direct_at(
         if toward[2] > 0:
             triangle, _, _, distance, _ = met(scene, point, way)
             if triangle >= 0 and scene.emitter[triangle] >= 0:
-                found = emitter_light(scene, scene.emitter[triangle], point, way, distance, view, toward, alpha)
+                found = emitter_light(scene, scene.emitter[triangle], point, normal, way, distance, view, toward, alpha)
                 glossy = added(glossy, found)
     return diffuse, tinted(scene, glossy, view[2], alpha, specular)
 
@@ -219,37 +257,51 @@ def gathered_each(
 
 @compiled
 def _faces(scene: LitScene, e: int, point: Vector) -> bool:
-    """Whether a side of a solid light faces a point."""
+    """Return whether the front of an emitter faces a point."""
     corner, facing = scene.corners[e, 0], scene.facing[e]
     x, y, z = point[0] - corner[0], point[1] - corner[1], point[2] - corner[2]
     return bool(x * facing[0] + y * facing[1] + z * facing[2] > 0)
 
 
 @compiled
-def _share_of(scene: LitScene, light: int, e: int) -> float:
-    """That an emitter has of its light's samples."""
-    before = scene.steps[e - 1] if e > scene.first[light] else 0.0
-    return float64(scene.steps[e] - before)
+def _irradiance(scene: LitScene, light: int, target: LightTarget, point: Vector, normal: Vector, e: int) -> float:
+    """Return the unoccluded irradiance / π of one triangle's mean radiance."""
+    if scene.solid[light] and not (target.sides >> (e - scene.first[light])) & 1:
+        return 0.0
+    if scene.one_sided[e] and not _faces(scene, e, point):
+        return 0.0
+    return of_triangle(point, normal, scene.corners[e]) * mean(scene.radiance[e])
 
 
 @compiled
-def _facing_emitter(scene: LitScene, light: int, bits: int, u: float) -> tuple[int, float]:
-    """The side of a solid light, of those that have a bit, whose step a number lies in, and how far along it."""
-    found, rest = scene.first[light], 0.0
+def _emitter_by_irradiance(
+    scene: LitScene, light: int, target: LightTarget, point: Vector, normal: Vector, u: float
+) -> tuple[int, float, float]:
+    """Choose a triangle of an exact light by its irradiance: triangle, a number uniform again, and probability."""
+    found, rest, probability = scene.first[light], 0.0, 0.0
+    if target.irradiance <= 0:
+        return found, rest, probability
+    left = u * target.irradiance
     for e in range(scene.first[light], scene.first[light + 1]):
-        if bits & 1:
-            share = _share_of(scene, light, e)
-            found, rest = e, u / share
-            if u < share:
+        own = _irradiance(scene, light, target, point, normal, e)
+        if own > 0:
+            found, rest, probability = e, min(left / own, 1.0), own / target.irradiance
+            if left < own:
                 break
-            u -= share
-        bits >>= 1
-    return found, rest
+            left -= own
+    return found, rest, probability
 
 
 @compiled
-def _emitter_at(scene: LitScene, light: int, u: float) -> tuple[int, float]:
-    """The emitter of a light whose step a number lies in, and how far along it, which is uniform again."""
+def _density_by_area(scene: LitScene, e: int, way: Vector, distance: float) -> float:
+    """Return the density per solid angle of points spread evenly over a triangle."""
+    density: float = distance * distance / (scene.area[e] * max(abs(dot(way, scene.facing[e])), 1e-30))
+    return density
+
+
+@compiled
+def _emitter_at(scene: LitScene, light: int, u: float) -> tuple[int, float, float]:
+    """Choose a triangle of a light by its power: triangle, a number uniform again, and probability."""
     low: int = scene.first[light]
     high: int = scene.first[light + 1] - 1
     while low < high:
@@ -259,4 +311,4 @@ def _emitter_at(scene: LitScene, light: int, u: float) -> tuple[int, float]:
         else:
             low = middle + 1
     before = scene.steps[low - 1] if low > scene.first[light] else 0.0
-    return low, (u - before) / (scene.steps[low] - before)
+    return low, (u - before) / (scene.steps[low] - before), scene.share[low]

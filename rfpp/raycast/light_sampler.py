@@ -46,12 +46,14 @@ class LightSampler:
         power = area * radiance.mean(-1)
         share = power / np.bincount(light, power)[light] if len(light) else power
         facing = cross / size[:, None]
+        one_sided = triangles.is_one_sided[emitters]
         solid, flat = np.zeros(len(count), np.bool_), count == 1
+        even = np.array([np.ptp(radiance[light == number], axis=0).max() == 0 for number in range(len(count))], bool)
         others = triangles.positions[~triangles.is_emissive, 0]
         for number in np.flatnonzero((count > 1) & (count <= _FORMULA_UP_TO)):
             own = light == number
             flat[number] = (np.abs(facing[own] @ facing[own][0]) > 1 - 1e-6).all()
-            if not flat[number]:
+            if not flat[number] and not one_sided[own].any():
                 facing[own], solid[number] = _outwards(corners[own], facing[own], area[own], others)
         bounds = [corners[light == number].reshape(-1, 3) for number in range(len(count))]
         middle = np.array([(own.min(0) + own.max(0)) / 2 for own in bounds]).reshape(-1, 3)
@@ -68,10 +70,12 @@ class LightSampler:
             facing=facing,
             radiance=radiance,
             steps=np.concatenate([np.zeros(0), *(np.cumsum(share[light == number]) for number in range(len(count)))]),
-            density=share / area,
+            one_sided=one_sided,
+            area=area,
+            share=share,
             first=np.concatenate([[0], np.cumsum(count)]),
             shining=np.ones(len(count), np.bool_),
-            exact=solid | flat,
+            exact=(solid | flat) & even,
             solid=solid,
             middle=middle,
             reach=reach,

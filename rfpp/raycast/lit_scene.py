@@ -24,11 +24,13 @@ class LitScene(NamedTuple):
         positions, normals, material: as `SceneTriangles` has them.
         emitter: [M] row of those that emit below, -1 for others.
         corners, facing, radiance: [E, 3, 3], [E, 3] unit normals, of solid lights outwards, [E, 3], light by light.
-        steps: [E] sums of the shares that triangles have of the samples of their light, up to each.
-        density: [E] of samples of their light, per area.
+        one_sided: [E] whether it shines on its front alone, the side of its facing.
+        area: [E].
+        share: [E] of the emitted power of their light.
+        steps: [E] sums of the shares up to each.
         first: [L + 1] emitters of each light.
         shining: [L] whether its light is wanted.
-        exact: [L] whether Lambert's formula gives it: its triangles are few and parallel, or it is solid.
+        exact: [L] whether Lambert's formula gives it: its triangles are few, equally bright, and parallel or solid.
         middle, reach: [L, 3], [L] of a sphere around each light.
         solid: [L] whether its triangles are few and bound a convex body, of which a point sees the sides that face it.
         albedo, mean_albedo: see `rfpp.raycast.ggx.lobe_albedo`.
@@ -43,7 +45,9 @@ class LitScene(NamedTuple):
     facing: Float[np.ndarray, "e 3"]
     radiance: Float[np.ndarray, "e 3"]
     steps: Float[np.ndarray, " e"]
-    density: Float[np.ndarray, " e"]
+    one_sided: Bool[np.ndarray, " e"]
+    area: Float[np.ndarray, " e"]
+    share: Float[np.ndarray, " e"]
     first: Int[np.ndarray, " l_plus_1"]
     shining: Bool[np.ndarray, " l"]
     exact: Bool[np.ndarray, " l"]

@@ -16,7 +16,7 @@ from rfpp.raycast.light_loops import (
     light_sample,
     over_density,
     rays_to_all,
-    sides_facing,
+    target_of,
 )
 from rfpp.raycast.lit_scene import (
     LitScene,
@@ -35,7 +35,8 @@ from rfpp.raycast.surface import Points
 from rfpp.raycast.traces import Trace
 from rfpp.raycast.vectors import BLACK, added, dot, in_frame, mean, product, scaled, tangents, triple
 
-#: What is summed of the samples of one light, for each point.
+#: Sums over the samples of one light, for each point: unoccluded irradiance, that of visible samples, irradiance in
+#: color, glossy light in color, and means and squares of the glossy lobe.
 WHOLE, VISIBLE, DIFFUSE, GLOSSY, LOBE, SQUARES, SUMS = 0, 1, 2, 5, 8, 9, 10
 
 
@@ -71,17 +72,17 @@ def light_samples(
         first, second = tangents(normal)
         view = in_frame(points.eye[row], first, second, normal)
         own_key = key_of(key_of(key, light), pixel)
-        sides, shift_u, shift_v = sides_facing(scene, light, point), uniform(own_key, 0), uniform(own_key, 1)
+        target, shift_u, shift_v = target_of(scene, light, point, normal), uniform(own_key, 0), uniform(own_key, 1)
         for s in range(begin, end):
             # all samples of a pixel's points are spread over the light together
             u, v = spread(s * points.of_pixel + points.nth[row], shift_u, shift_v)
-            e, way, density, arriving, clear = light_sample(scene, light, sides, point, normal, u, v)
+            e, way, density, arriving, clear = light_sample(scene, light, target, point, normal, u, v)
             own[WHOLE] += arriving
             if not clear:
                 continue
             own[VISIBLE] += arriving
             toward = in_frame(way, first, second, normal)
-            by_area = 0.0 if scene.exact[light] else toward[2] / density / np.pi
+            by_area = toward[2] / density / np.pi
             by_lobe = 0.0
             if alpha >= 0:
                 reflected, of_lobe = lobe_and_pdf(view, toward, alpha)
@@ -101,6 +102,7 @@ def of_light(
     scene: LitScene,
     light: int,
     points: Points,
+    around: Float[np.ndarray, " pixels"],
     edge: Bool[np.ndarray, " pixels"],
     few: int,
     many: int,
@@ -109,25 +111,78 @@ def of_light(
     diffuse: Float[np.ndarray, "r 3"],
     glossy: Float[np.ndarray, "r 3"],
 ) -> None:
-    """Adds the light of one light to what each point has.
+    """Add the light of one light to each point.
+
+    The irradiance of an exact light is β E + mean(w (V - β)): E is the closed form without occlusion, w the irradiance
+    of a sample, V its visibility, and β is 1 where all samples of the pixels around the point's see the light, else 0.
+    Because other pixels' samples are independent, this is unbiased; where a light is wholly visible it is exact.
 
     Args:
-        few, many: samples of points away from edges, and there.
-        room: for what `rfpp.raycast.polygon_light.unhidden_each` finds.
+        start: First point.
+        stop: End of the points.
+        scene: The scene.
+        light: Number of the light.
+        points: Points of the image.
+        around: [pixels] results of `shares_around`.
+        edge: [pixels] whether all samples were taken.
+        few: Samples of points away from edges.
+        many: Samples of points at edges.
+        sums: Results of `light_samples`.
+        room: Scratch space for `rfpp.raycast.polygon_light.unhidden_each`.
+        diffuse: Irradiance / π, added to.
+        glossy: Glossy light, added to.
     """
     for begin in range(start, stop, BLOCK):
         end = min(begin + BLOCK, stop)
         if scene.exact[light]:  # into the same numbers for every block, which are near
             unhidden_each(begin, end, scene, light, points.point, points.normal, start, room)
         for row in range(begin, end):
-            own, count = sums[row], (many if edge[points.pixel[row]] else few)
-            if own[VISIBLE] <= 0:
-                continue
-            in_sight, weight = own[VISIBLE] / own[WHOLE], 1 / count
+            own, weight, share = sums[row], 1 / (many if edge[points.pixel[row]] else few), 0.0
+            if scene.exact[light]:
+                column, other = start + row - begin, around[points.pixel[row]]
+                unoccluded = np.pi * (room[0, column] + room[1, column] + room[2, column]) / 3
+                if unoccluded > 0:
+                    share = max(other + weight * (own[VISIBLE] - other * own[WHOLE]) / unoccluded, 0.0)
+                for c in range(3):
+                    diffuse[row, c] += room[c, column] * share
+            else:
+                for c in range(3):
+                    diffuse[row, c] += own[DIFFUSE + c] * weight
             for c in range(3):
-                exactly = room[c, start + row - begin] * in_sight if scene.exact[light] else 0.0
-                diffuse[row, c] += exactly + own[DIFFUSE + c] * weight
                 glossy[row, c] += own[GLOSSY + c] * weight
+
+
+@compiled
+def shares_around(
+    points: Points,
+    sums: Float[np.ndarray, "r sums"],
+    height: int,
+    width: int,
+    of_pixels: Float[np.ndarray, "pixels 2"],
+    around: Float[np.ndarray, " pixels"],
+) -> None:
+    """Fill in whether all samples in the eight pixels around each pixel see a light (1) or not (0).
+
+    Args:
+        points: Points of the image.
+        sums: Results of `light_samples`.
+        height: Image height in pixels.
+        width: Image width in pixels.
+        of_pixels: Zeros, as scratch space.
+        around: Result.
+    """
+    for row in range(len(points.pixel)):
+        of_pixels[points.pixel[row], 0] += sums[row, WHOLE]
+        of_pixels[points.pixel[row], 1] += sums[row, VISIBLE]
+    for y in range(height):
+        for x in range(width):
+            whole, visible = 0.0, 0.0
+            for j in range(max(y - 1, 0), min(y + 2, height)):
+                for i in range(max(x - 1, 0), min(x + 2, width)):
+                    if j != y or i != x:
+                        whole += of_pixels[j * width + i, 0]
+                        visible += of_pixels[j * width + i, 1]
+            around[y * width + x] = 1.0 if whole > 0 and visible >= whole else 0.0
 
 
 @compiled
@@ -177,9 +232,8 @@ def lobe_rays(
             if triangle < 0:
                 continue
             if scene.emitter[triangle] >= 0:
-                found = emitter_light(scene, scene.emitter[triangle], point, way, distance, view, toward, alpha)
+                found = emitter_light(scene, scene.emitter[triangle], point, normal, way, distance, view, toward, alpha)
                 emitted = added(emitted, found)
-                continue
             if not reflects or distance <= 0:
                 continue
             reflected, by_lobe = lobe_and_pdf(view, toward, alpha)

@@ -97,7 +97,7 @@ def unhidden_each(
         along_x[row], along_y[row], along_z[row] = triple(normals[start + row])
     for e in range(scene.first[light], scene.first[light + 1]):
         corners, radiance = scene.corners[e], triple(scene.radiance[e])
-        outwards = triple(scene.facing[e]) if scene.solid[light] else BLACK
+        outwards = triple(scene.facing[e]) if scene.solid[light] or scene.one_sided[e] else BLACK
         if not _shines_at(x, y, z, triple(corners[0]), outwards):
             continue
         _of_triangle_at(x, y, z, along_x, along_y, along_z, corners, outwards, own)

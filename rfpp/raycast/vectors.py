@@ -35,6 +35,12 @@ def scaled(a: Vector, factor: float) -> Triple:
 
 
 @compiled
+def cross(a: Vector, b: Vector) -> Triple:
+    """Their vector product."""
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+@compiled
 def product(a: Vector, b: Vector) -> Triple:
     """Colour by colour."""
     return a[0] * b[0], a[1] * b[1], a[2] * b[2]

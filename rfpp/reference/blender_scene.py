@@ -57,7 +57,7 @@ def _mesh(bpy: ModuleType, name: str, triangles: SceneTriangles, part: np.ndarra
     varying = bool((diffuse != diffuse[0]).any())
     _, first, slot = np.unique(others, axis=0, return_index=True, return_inverse=True)
     for row in triangles.material[part][first]:
-        mesh.materials.append(_material(bpy, row, "diffuse" if varying else None))
+        mesh.materials.append(_material(bpy, row, "diffuse" if varying else None, name in triangles.one_sided))
     mesh.polygons.foreach_set("material_index", slot.reshape(-1).astype(np.int32))
     if varying:
         colors = mesh.color_attributes.new("diffuse", "FLOAT_COLOR", "CORNER")
@@ -72,7 +72,7 @@ def _mesh(bpy: ModuleType, name: str, triangles: SceneTriangles, part: np.ndarra
     return mesh
 
 
-def _material(bpy: ModuleType, row: np.ndarray, diffuse_attribute: str | None):
+def _material(bpy: ModuleType, row: np.ndarray, diffuse_attribute: str | None, is_one_sided: bool):
     """Return diffuse + GGX (+ emission) for one row of `SceneTriangles.material`."""
     material = bpy.data.materials.new("surface")
     material.use_nodes = True
@@ -102,10 +102,18 @@ def _material(bpy: ModuleType, row: np.ndarray, diffuse_attribute: str | None):
     strength = float(row[EMISSION].max())
     if strength > 0:
         light = node("ShaderNodeEmission", Color=_rgba(row[EMISSION] / strength), Strength=strength)
-        surface = added(surface, light)
-        material.cycles.emission_sampling = "FRONT_BACK"
+        surface = added(surface, _on_front(tree, light) if is_one_sided else light)
+        material.cycles.emission_sampling = "FRONT" if is_one_sided else "FRONT_BACK"
     tree.links.new(surface.outputs[0], tree.nodes.new("ShaderNodeOutputMaterial").inputs["Surface"])
     return material
+
+
+def _on_front(tree, light):
+    """Return a shader that is the light's on the front and black on the back."""
+    mix = tree.nodes.new("ShaderNodeMixShader")
+    tree.links.new(tree.nodes.new("ShaderNodeNewGeometry").outputs["Backfacing"], mix.inputs["Fac"])
+    tree.links.new(light.outputs[0], mix.inputs[1])
+    return mix
 
 
 def _flat(values: np.ndarray) -> np.ndarray:

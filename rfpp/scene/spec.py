@@ -65,6 +65,7 @@ class Material(Strict):
     specular: Reflectance
     roughness: Annotated[float, Field(ge=0, le=1)]
     emissive: Radiance = (0.0, 0.0, 0.0)
+    one_sided: bool = False
     smooth_shading: bool = False
     rand_tri_diffuse_seed: Annotated[int, Field(ge=0, lt=2**32)] | None = None
     random_diffuse_max: Annotated[float, Field(ge=0, le=1)] = 0.4

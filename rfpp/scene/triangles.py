@@ -26,6 +26,7 @@ class SceneTriangles:
         material: [M, 10] float32: diffuse 3, specular 3, roughness 1, emitted radiance 3 (linear).
         object_offsets: [O + 1] int32, CSR style: object o owns triangles offsets[o]:offsets[o + 1].
         object_names: O names, in order.
+        one_sided: Names of the emitters that shine only on the side from which their corners run counterclockwise.
     """
 
     positions: np.ndarray
@@ -33,6 +34,7 @@ class SceneTriangles:
     material: np.ndarray
     object_offsets: np.ndarray
     object_names: tuple[str, ...]
+    one_sided: frozenset[str] = frozenset()
 
     def __len__(self) -> int:
         return len(self.positions)
@@ -45,6 +47,12 @@ class SceneTriangles:
     def is_emissive(self) -> np.ndarray:
         """[M] bool. Emissive triangles light the scene and are invisible to the camera."""
         return (self.material[:, EMISSION] > 0).any(axis=1)
+
+    @property
+    def is_one_sided(self) -> np.ndarray:
+        """[M] bool. Emissive triangles that shine on their front alone."""
+        of_object = np.array([name in self.one_sided for name in self.object_names], bool)
+        return np.repeat(of_object, np.diff(self.object_offsets))
 
     @property
     def object_index(self) -> np.ndarray:
@@ -76,6 +84,7 @@ class SceneTriangles:
             material=np.concatenate([_material_rows(item) for item in objects]),
             object_offsets=np.cumsum([0, *map(len, meshes)], dtype=np.int32),
             object_names=tuple(item.name for item in objects),
+            one_sided=frozenset(item.name for item in objects if item.material.one_sided),
         )
 
 

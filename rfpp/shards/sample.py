@@ -70,6 +70,7 @@ def encode(sample: SceneSample) -> dict[str, bytes]:
     }
     cameras = {"c2w": sample.c2w.astype(np.float32), "fov": sample.fov.astype(np.float32)}
     meta = {**sample.meta, "schema_version": SCHEMA_VERSION, "objects": list(sample.triangles.object_names)}
+    meta["one_sided"] = sorted(sample.triangles.one_sided)
     members = {
         "meta.json": json.dumps(meta, sort_keys=True, indent=1, allow_nan=False).encode(),
         "geometry.safetensors": save_arrays({name: np.ascontiguousarray(a) for name, a in geometry.items()}),
@@ -127,6 +128,7 @@ def decode(
             material=_per_triangle(geometry["material"], geometry["object_offsets"]),
             object_offsets=geometry["object_offsets"],
             object_names=tuple(meta.pop("objects")),
+            one_sided=frozenset(meta.pop("one_sided")),
         )
         require_consistent_scene(triangles, cameras)
         images = np.stack([layers(_IMAGE, view)["RGB"] for view in views]).astype(np.float32)

@@ -11,11 +11,10 @@ from networks import checkpoint_info, network
 from PIL import Image
 from small_data import REFERENCE
 
-from rfpp.benchmark.equal_time import dimmed, measure, orbit
+from rfpp.benchmark.equal_time import measure, orbit
 from rfpp.benchmark.equal_time_plot import main, plot, times_at_equal_error
 from rfpp.inference.renderer import Renderer
 from rfpp.scene.packed import pack
-from rfpp.scene.triangles import EMISSION
 
 
 def test_an_orbit_rotates_the_camera_about_the_vertical_axis():
@@ -25,17 +24,6 @@ def test_an_orbit_rotates_the_camera_about_the_vertical_axis():
     x, y, z = still.c2w[0][:3, 3]
     np.testing.assert_allclose(rotated.c2w[1][:3, 3], (-y, x, z), atol=1e-6)
     assert rotated.triangles is still.triangles
-
-
-def test_one_light_source_is_dimmed():
-    before = pack(scene())
-    after = dimmed(before)
-    changed = (after.triangles.material != before.triangles.material).any(1)
-    first = before.triangles.object_index[before.triangles.is_emissive][0]
-    assert set(before.triangles.object_index[changed]) == {first}
-    np.testing.assert_array_equal(
-        after.triangles.material[changed, EMISSION] * 2, before.triangles.material[changed, EMISSION]
-    )
 
 
 @requires_blender

@@ -19,13 +19,6 @@ from rfpp.scene.packed import pack
 EXHIBITS = {"six": pack(scene()).views([0]), "drawn": sampled(BoxFamily(), 0)}
 
 
-def test_sampled_scenes_depend_on_the_seed_alone():
-    one, two, other = (sampled(BoxFamily(), seed) for seed in (3, 3, 4))
-    np.testing.assert_array_equal(one.triangles.positions, two.triangles.positions)
-    assert not np.array_equal(one.triangles.positions, other.triangles.positions)
-    assert len(one.fov) == 1
-
-
 @pytest.mark.parametrize("path", sorted((CONFIG_DIR.parent / "data/scenes").glob("*.json")), ids=lambda path: path.stem)
 def test_shipped_scenes_lie_in_the_unit_box(path):
     triangles = stored(str(path)).triangles

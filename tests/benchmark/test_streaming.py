@@ -2,13 +2,11 @@
 
 from functools import partial
 
-import numpy as np
 import pytest
 from small_data import REFERENCE, SETTINGS, BoxFamily, make
 
-from rfpp.benchmark.streaming import PAPER_IMAGES_PER_SECOND, SyntheticData, measure, synthetic_images
+from rfpp.benchmark.streaming import PAPER_IMAGES_PER_SECOND, SyntheticData, measure
 from rfpp.reference.farm import RenderFarm
-from rfpp.scene.packed import pack
 from rfpp.shards.cache import ShardCache
 from rfpp.shards.dataset import ShardSplit
 from rfpp.shards.manifest import Manifest
@@ -55,14 +53,3 @@ def test_synthetic_data_sets_hold_scenes_of_the_family(synthetic, tmp_path):
     scene = ShardSplit(tmp_path, "train")[0]
     assert scene.triangles.num_objects == 3
     assert scene.images.mean() > 0.01
-
-
-def test_synthetic_images_show_the_surfaces_with_noise():
-    rngs = np.random.default_rng(1), np.random.default_rng(2)
-    scene = pack(BoxFamily().sample(*rngs, held_out=False)).views([0])
-    image, again = (synthetic_images(scene.triangles, scene.c2w, scene.fov, 12, 12, REFERENCE) for _ in range(2))
-    np.testing.assert_array_equal(image, again)
-    assert image.shape == (1, 12, 12, 3)
-    floor = image[image.max(axis=-1) > 0]
-    assert len(floor) > 20 and floor.std() > 0.001
-    assert (image >= 0).all()

@@ -34,11 +34,6 @@ def test_other_names_are_none_of_ours(ours, name):
     assert shipped.shipped(name) is None
 
 
-def test_without_any_network_no_name_is_ours(tmp_path, monkeypatch):
-    monkeypatch.setattr(shipped, "FOLDER", tmp_path / "absent")
-    assert shipped.shipped("toy") is None
-
-
 def test_an_unknown_name_is_refused(ours):
     with pytest.raises(CheckpointError, match="toys: no such checkpoint"):
         Renderer.load("toys")

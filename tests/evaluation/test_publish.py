@@ -64,11 +64,6 @@ def test_a_missing_file_is_named(run, tmp_path):
         assert named in str(stop.value.code)
 
 
-def test_notes_are_optional(run, tmp_path):
-    assert publish(run, tmp_path / "toy") == tmp_path / "toy"
-    assert "## Limits" not in (tmp_path / "toy" / "README.md").read_text()
-
-
 def test_a_refinement_is_published_instead_of_the_checkpoint_it_refines(run, tmp_path):
     refined = Renderer.load(run / "checkpoints" / "best.ckpt", "cpu", "fp32")
     with torch.no_grad():

@@ -60,21 +60,10 @@ def test_results_are_added_to_the_finished_training_run(finished_run, table, mea
     assert [f.path for f in client.list_artifacts(run, "evaluation")] == ["evaluation/summary.csv"]
 
 
-def test_results_on_other_data_have_their_own_names(finished_run, table, measured) -> None:
-    client, uri, run = finished_run
-    log_to_training_run(_info(uri, run), measured("large_scale"), [table])
-    assert client.get_run(run).data.metrics == {f"large_scale/{name}": value for name, value in METRICS.items()}
-    assert [f.path for f in client.list_artifacts(run)] == ["evaluation_large_scale"]
-
-
 def test_an_unreachable_run_is_one_line(tmp_path, measured) -> None:
     line = log_to_training_run(_info(f"sqlite:///{tmp_path}/mlflow.db", "0" * 32), measured("small"), [])
     assert line.startswith("Not logged")
     assert "\n" not in line
-
-
-def test_a_checkpoint_without_a_run_is_reported(measured) -> None:
-    assert "no MLflow run" in log_to_training_run(_info(None, None), measured("small"), [])
 
 
 def test_results_are_in_the_run_of_the_checkpoint(tmp_path) -> None:

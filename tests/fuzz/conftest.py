@@ -1,4 +1,4 @@
-"""What was tried is said at the end."""
+"""Summary of fuzzing at the end of the session."""
 
 import os
 from pathlib import Path
@@ -7,7 +7,7 @@ from fuzzing import ATTEMPTS, write_table
 
 
 def pytest_terminal_summary(terminalreporter):
-    """What was tried; as a table, too, where FUZZ_TABLE names its file."""
+    """Print counts of inputs; also write them to the file named by FUZZ_TABLE."""
     for kind in ATTEMPTS.values():
         told = f"{kind.taken} taken, slowest {kind.slowest:.1f} s, {kind.memory:.1f} GB"
         terminalreporter.write_line(f"fuzzed {kind.kind}: {kind.tried} tried, {told}")

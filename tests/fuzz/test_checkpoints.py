@@ -1,4 +1,4 @@
-"""Whatever a checkpoint holds: a network, or one line that names the file, and no code is run."""
+"""Damaged checkpoints load or raise one line that names the file; no code is run."""
 
 import io
 import json
@@ -51,16 +51,12 @@ def _loaded(path: Path) -> tuple[nn.Module | None, str]:
         return None, str(error)
 
 
-@fuzzed
-@given(altered(INFO) | altered(INFO["model"]).map(lambda model: {**INFO, "model": model}) | JSON_VALUES)
-def test_altered_descriptions(folder: Path, info: object) -> None:
-    (folder / "config.json").write_bytes(dumped({CHECKPOINT_KEY: info}))
-    load(folder, folder)
+DESCRIPTIONS = altered(INFO) | altered(INFO["model"]).map(lambda model: {**INFO, "model": model}) | JSON_VALUES
 
 
 @fuzzed
-@given(damaged(dumped({CHECKPOINT_KEY: INFO})))
-def test_damaged_descriptions(folder: Path, content: bytes) -> None:
+@given(DESCRIPTIONS.map(lambda info: dumped({CHECKPOINT_KEY: info})) | damaged(dumped({CHECKPOINT_KEY: INFO})))
+def test_altered_and_damaged_descriptions(folder: Path, content: bytes) -> None:
     (folder / "config.json").write_bytes(content)
     load(folder, folder)
 
@@ -76,7 +72,7 @@ def test_damaged_weights(tmp_path_factory, content: bytes) -> None:
 
 
 def lightning(info: object, weights: dict[str, torch.Tensor]) -> bytes:
-    """As launch/train.py writes it."""
+    """Return a checkpoint in the format of launch/train.py."""
     file = io.BytesIO()
     torch.save({CHECKPOINT_KEY: info, "state_dict": {NETWORK_PREFIX + k: v for k, v in weights.items()}}, file)
     return file.getvalue()

@@ -12,7 +12,6 @@ from mutations import altered, damaged, dumped
 from serving import VIEW, scene, server
 
 from rfpp.errors import SceneError
-from rfpp.local_requests import reason_to_refuse
 from rfpp.serve.image_window import ImageWindow
 from rfpp.serve.render_request import RenderRequest
 from rfpp.serve.scene_renderer import ReceivedScene
@@ -95,15 +94,3 @@ def test_scenes(content: bytes) -> None:
             require_one_line(error)
             return
         one.taken = True
-
-
-ADDRESSES = st.from_regex(r"[a-z0-9.\-\[\]:@/%]{0,30}", fullmatch=True) | st.text(max_size=30)
-
-
-@fuzzed
-@given(ADDRESSES, st.none() | ADDRESSES.map(lambda host: f"http://{host}"))
-def test_origins(host: str, origin: str | None) -> None:
-    with attempt("origins of requests") as one:
-        why = reason_to_refuse(host, origin)
-        one.taken = why is None
-        assert why is not None or origin in (None, f"http://{host}")

@@ -1,4 +1,4 @@
-"""Whatever the bytes of a shard: a sample, or a ShardError that names what is damaged, soon."""
+"""Damaged shards decode or raise a ShardError that names the damage."""
 
 import json
 import os
@@ -58,7 +58,7 @@ def require_whole(sample: SceneSample) -> None:
 @fuzzed
 @given(data=st.data())
 def test_a_damaged_tar_gives_the_stored_sample_or_is_named(finished, tmp_path_factory, data: st.DataObject) -> None:
-    """As training reads it: by hash."""
+    """Read by hash, like in training."""
     folder = tmp_path_factory.getbasetemp() / "fuzzed_tar"
     folder.mkdir(exist_ok=True)
     for file in finished.root.iterdir():
@@ -142,7 +142,7 @@ def test_an_altered_manifest_is_named(finished, tmp_path_factory, data: st.DataO
 @fuzzed
 @given(data=st.data())
 def test_an_altered_index_is_named(finished, tmp_path_factory, data: st.DataObject) -> None:
-    """Whose hash the manifest has, as a stranger's would be."""
+    """The manifest has the hash of the altered index."""
     listed = finished.shards("train")[0].listed
     folder = tmp_path_factory.getbasetemp() / "fuzzed_index"
     folder.mkdir(exist_ok=True)

@@ -7,7 +7,6 @@ from rfpp.imaging.panels import (
     contact_sheet,
     distinct_colours,
     error_map,
-    false_colours,
     panel,
     save_picture,
     signed_error_map,
@@ -46,12 +45,6 @@ def test_a_sheet_holds_every_picture_enlarged_by_whole_factors() -> None:
     titled = panel(columns, captions=["first", "second"], title="title")
     assert len(titled) > len(sheet)
     assert corner_of(pictures[0], titled, 3)[0] > corner_of(pictures[0], sheet, 3)[0]
-
-
-def test_pictures_of_several_resolutions_are_enlarged_to_the_largest() -> None:
-    small, large = noise(1, 64), noise(1, 256)
-    sheet = panel({"small": small, "large": large})
-    assert corner_of(small[0], sheet, 4)[0] == corner_of(large[0], sheet, 1)[0]
 
 
 def test_a_contact_sheet_is_about_square_and_in_order() -> None:

@@ -25,20 +25,6 @@ def test_values_above_the_limit_are_not_stored():
     assert (cache.get("a"), cache.get("b"), cache.bytes) == ("A", None, 5)
 
 
-def test_a_value_replaces_the_one_before_it():
-    cache = BoundedCache(max_bytes=10)
-    cache.put("a", "A", 8)
-    cache.put("a", "B", 9)
-    assert (cache.get("a"), cache.bytes) == ("B", 9)
-
-
-def test_values_are_computed_once():
-    cache, made = BoundedCache(max_bytes=10), []
-    for _ in range(2):
-        assert cache.get_or_compute("a", 5, lambda: made.append(1) or "A") == "A"
-    assert made == [1]
-
-
 def test_threads_wait_for_the_same_value_and_not_for_others():
     cache, made, go_on = BoundedCache(max_bytes=10), [], threading.Event()
 

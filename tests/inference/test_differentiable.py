@@ -51,7 +51,7 @@ def edited(of: PackedScene, name: str, what: str, becomes: np.ndarray) -> Packed
 
 @pytest.fixture(scope="module")
 def gradients(ours, still) -> tuple[dict[tuple[str, str], np.ndarray], np.ndarray]:
-    """Of a sum of all pixels with random weights, by every property of every object at once; and the weights."""
+    """Return gradients of a weighted sum of pixels by every property of every object, and the weights."""
     lights = still.triangles.light_names
     materials = {
         name: {what: value(still, name, what) for what in COLUMNS if (what == "emissive") == (name in lights)}

@@ -73,13 +73,3 @@ def test_another_camera_reuses_acceleration_structures(cast):
     assert cast[0] == "first_hit"
     assert cast.count("camera_caster") == 1  # of the new source
     assert stacked(source, scene(), 8).shape == (3, 16, 8, 8)
-
-
-@pytest.mark.parametrize(("samples", "per_sample"), [(1, 1), (4, 1), (8, 2), (64, 16)])
-def test_light_samples_are_divided_among_the_samples_of_a_pixel(samples, per_sample, monkeypatch):
-    given, real = [], rfpp.inference.gbuffers.with_known_light
-    monkeypatch.setattr(
-        rfpp.inference.gbuffers, "with_known_light", lambda *args, **how: given.append(args[4]) or real(*args, **how)
-    )
-    GBufferSource(LIT).gbuffer(pack(scene()), 0, 16, 16, samples, points=2)
-    assert given == [per_sample]

@@ -54,12 +54,6 @@ def test_mixtures_equal_new_renders_and_each_light_is_rendered_once(mixer):
     assert mixer.rendered == 1 + 2
 
 
-def test_other_views_are_rendered_as_usual(mixer):
-    for camera in (0, 1, 0, 1):
-        mixer.image(view(scene(), camera), SIZE)
-    assert mixer.rendered == 4 and not mixer.is_separated(view(scene()), SIZE)
-
-
 @pytest.mark.parametrize(
     "other",
     [lambda: view(moved(scene())), lambda: view(scene(), 1), lambda: with_lights(3000, (0.0, 0.0, 0.0))],

@@ -109,18 +109,3 @@ def test_tokens_of_an_object_do_not_depend_on_other_objects():
         )
         batch = RaggedBatch.pack([replace(original, triangles=alone)])
         assert torch.equal(ObjectEncoder(net, CPU).tokenize(batch)[1].features, tokens[number])
-
-
-@torch.inference_mode()
-def test_chunks_are_limited_in_triangles(monkeypatch):
-    net, seen = network(), []
-    make = net.tokens
-    monkeypatch.setattr(net, "tokens", lambda part: seen.append(part.objects.lengths) or make(part))
-    ObjectEncoder(net, CPU, triangles_at_once=20).tokenize(RaggedBatch.pack([views(sizes=(12, 5, 4, 40, 1, 19))]))
-    assert sorted(seen) == [(1, 19), (4,), (12, 5), (40,)]  # in any order
-
-
-def test_triangle_tokens_are_not_cached():
-    whole = Renderer(network("model=renderformer"), checkpoint_info())
-    assert whole.engine.objects is None
-    assert np.isfinite(whole.render(scene())).all()

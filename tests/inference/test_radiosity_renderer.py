@@ -31,8 +31,8 @@ def refining() -> Renderer:
     refinement = Refinement(WIDTHS, bound=1.0)
     torch.nn.init.normal_(refinement.out.weight)
     part = {"_target_": "rfpp.radiosity.refinement.Refinement", "widths": WIDTHS, "bound": 1.0}
-    model = {"_target_": "rfpp.radiosity.radiosity.Radiosity", "bounces": 8, "refinement": part}
-    return Renderer(Radiosity(8, refinement), checkpoint_info(model, resolution=SIZE))
+    model = {"_target_": "rfpp.radiosity.radiosity.Radiosity", "refinement": part}
+    return Renderer(Radiosity(refinement), checkpoint_info(model, resolution=SIZE))
 
 
 def with_power(factor: float) -> Scene:
@@ -65,10 +65,9 @@ def test_dimming_a_light_reuses_the_cells(monkeypatch):
 
 
 def test_more_bounces_are_more_light():
-    images = [renderer().render(scene(), transports=count) for count in (0, 1, 8)]
+    images = [renderer().render(scene(), transports=count) for count in (0, 1, None)]
     assert all((b >= a - 1e-6).all() for a, b in pairwise(images))
     assert images[1].sum() > images[0].sum()
-    np.testing.assert_array_equal(images[2], renderer().render(scene()))
 
 
 class TestLightsApart:
@@ -95,7 +94,7 @@ class TestBouncesApart:
         return renderer().render_bounces(scene(), light_samples=4)
 
     def test_their_sum_is_the_image(self, apart):
-        assert len(apart) == 2 + 8
+        assert len(apart) > 3
         assert (apart >= 0).all()
         np.testing.assert_allclose(apart.sum(0), renderer().render(scene(), light_samples=4), rtol=1e-4, atol=1e-6)
 

@@ -18,7 +18,6 @@ from rfpp.imaging.radiance import log_decode
 from rfpp.inference.network_engine import _computed_ahead
 from rfpp.raycast.first_hit import first_hit, stack_channels
 from rfpp.scene.packed import pack
-from rfpp.scene.spec import Camera
 
 
 @pytest.fixture(scope="module")
@@ -75,19 +74,10 @@ def test_no_samples_are_refused(renderer, scene, none):
         renderer.render(scene, **none)
 
 
-def test_supersampling_makes_no_difference_to_a_network(renderer, scene):
-    np.testing.assert_array_equal(*(renderer.render(scene, supersampling=number) for number in (1, 3)))
-
-
 def test_views_are_independent_of_each_other(renderer, scene):
     together = renderer.render(scene)
     alone = renderer.render(scene, cameras=scene.cameras[2:])
     np.testing.assert_allclose(together[2], alone[0], rtol=1e-4, atol=1e-5)
-
-
-def test_other_cameras(renderer, scene):
-    camera = Camera(position=(0, -1.5, 0.5), look_at=(0, 0, 0), fov=40)
-    assert renderer.render(scene, cameras=[camera]).shape == (1, 16, 16, 3)
 
 
 def test_the_scene_is_encoded_once(renderer, scene, monkeypatch):

@@ -92,14 +92,6 @@ def test_the_refinement_reduces_the_error(renderer):
     assert refined < 0.95 * unrefined
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_more_samples_per_pixel_reduce_the_error(renderer, name):
-    reference = picture(f"{name}_0_reference")
-    images = (renderer.views(view_of(name), 64, supersampling=n, is_refined=False) for n in (1, 2, 3))
-    one, two, three = (difference(next(image), reference) for image in images)
-    assert three < two < 0.85 * one
-
-
 def test_the_installed_folder_is_small_and_holds_no_code():
     folder = shipped("radiosity")
     assert {path.name for path in folder.iterdir()} == {"README.md", "config.json", "model.safetensors"}

@@ -12,7 +12,7 @@ from known_scenes import look_at, still_life
 from rfpp.imaging.exr import read_exr
 from rfpp.imaging.tone_maps import SRGB
 from rfpp.inference.stills import bounce_layers, gbuffer_layers, light_layers, write_still, written_in_background
-from rfpp.raycast.first_hit import CHANNELS, channel, first_hit, stack_channels
+from rfpp.raycast.first_hit import channel, first_hit, stack_channels
 
 NAMES = ("normal", "depth", "albedo", "roughness", "position")
 IMAGES = np.random.default_rng(0).uniform(0, 1, (4, 12, 16, 3)).astype(np.float32)
@@ -37,13 +37,6 @@ def test_layers_have_conventional_names_and_round_trip(tmp_path):
     albedo = channel(gbuffer, triangles.material, 45, "albedo").astype(np.float16)
     np.testing.assert_array_equal(layers["albedo"], albedo)
     assert (tmp_path / "view.png").is_file()
-
-
-def test_every_channel_of_a_gbuffer_can_be_a_layer():
-    names = tuple(CHANNELS)
-    numbers = np.arange(sum(CHANNELS[name] for name in names), dtype=np.float32)
-    layers = gbuffer_layers(numbers[:, None, None] * np.ones((1, 2, 3), np.float32), names)
-    assert [plane[0, 0] for plane in layers.values()] == list(range(len(numbers)))
 
 
 def test_lights_with_similar_names_and_bounces_are_distinct_layers():

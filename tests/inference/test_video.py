@@ -46,12 +46,6 @@ def test_playback_can_start_before_the_download_ends(tmp_path):
     assert 0 < content.index(b"moov") < content.index(b"mdat")
 
 
-def test_odd_sides_are_extended(tmp_path):
-    meta, decoded = read(write_video(frames(1, 31, 47), tmp_path / "film.mp4", fps=24))
-    assert meta["size"] == (48, 32)
-    assert len(decoded) == 1
-
-
 def test_an_error_in_frames_keeps_the_old_file(tmp_path):
     path = write_video(frames(2), tmp_path / "film.mp4", fps=24)
     before = path.read_bytes()

@@ -93,10 +93,6 @@ def test_a_command_finds_its_configuration(installed):
     assert "experiment: ablation" in said
 
 
-def test_an_unknown_command_is_one_line(installed):
-    assert installed("trian", code=1).startswith("error: rfpp trian: no such command: choose from addon, benchmark, ")
-
-
 def test_another_projects_commit_is_not_taken_for_its_own(installed):
     asked = "from rfpp.training.tracking import code_version; print(code_version())"
     command = [sys.executable, "-c", asked]

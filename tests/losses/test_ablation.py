@@ -1,8 +1,5 @@
 """Each ablation changes what it names, and nothing else."""
 
-from dataclasses import replace
-from itertools import pairwise
-
 import pytest
 import torch
 from network_variants import batch_for
@@ -84,18 +81,3 @@ def test_growth_compares_with_the_unmodified_error_and_needs_a_batch_before():
     unmodified = log_l1(net(second).log_radiance, second.image)
     for name, image in ablated(net, second, TokenFeatures.of(net, first)).items():
         assert growth[name] == pytest.approx((log_l1(image, second.image) / unmodified - 1).item(), rel=1e-4)
-
-
-@torch.no_grad()
-def test_growth_is_the_mean_over_batches():
-    net = network(PAPER)
-    batches = [batch_for(net, scenes=1), batch_for(net)]
-    batches.append(replace(batches[1], image=2 * batches[1].image))
-    errors = AblationErrors()
-    for batch in batches:
-        errors.add(net, batch, net(batch).log_radiance)
-    without, unmodified = 0.0, 0.0
-    for before, batch in pairwise(batches):
-        without += log_l1(ablated(net, batch, TokenFeatures.of(net, before))[NO_OPERATOR], batch.image).item()
-        unmodified += log_l1(net(batch).log_radiance, batch.image).item()
-    assert errors.growth()[NO_OPERATOR] == pytest.approx(without / unmodified - 1, rel=1e-4)

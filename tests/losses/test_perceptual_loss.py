@@ -1,7 +1,6 @@
 import pytest
 import torch
 from random_vgg import random_trunk
-from torch import nn
 
 from rfpp.imaging.radiance import log_decode, log_encode
 from rfpp.losses import perceptual as perceptual_module
@@ -49,26 +48,6 @@ def test_only_the_first_images_are_read(make_loss) -> None:
     assert touched.tolist() == [True, True, True, False]
 
 
-def test_more_images_than_the_batch_holds_is_all_of_it(make_loss) -> None:
-    predicted_log, target = log_encode(_views(0)), _views(1)
-    assert make_loss(images_per_step=100)(predicted_log, target) == make_loss()(predicted_log, target)
-
-
 def test_zero_images_are_refused(make_loss) -> None:
     with pytest.raises(ValueError, match="images_per_step"):
         make_loss(images_per_step=0)
-
-
-def test_is_float32_under_bf16_autocast(make_loss) -> None:
-    loss, predicted_log, target = make_loss(), log_encode(_views(0)), _views(1)
-    with torch.autocast("cpu", torch.bfloat16):
-        value = loss(predicted_log, target)
-    assert value.dtype == torch.float32
-    assert value == loss(predicted_log, target)
-
-
-def test_the_trunk_is_not_saved_with_its_owner(make_loss) -> None:
-    owner = nn.Linear(2, 2)
-    owner.perceptual = make_loss()
-    assert set(owner.state_dict()) == {"weight", "bias"}
-    assert len(list(owner.parameters())) == 2

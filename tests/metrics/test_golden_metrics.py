@@ -73,15 +73,6 @@ def test_lpips_is_of_the_tone_mapped_image(metrics, pair, random_lpips) -> None:
     torch.testing.assert_close(metrics(*pair)["lpips"], random_lpips(x, y), rtol=1e-3, atol=1e-5)
 
 
-@pytest.mark.parametrize("radiance", [0.0, 1e-6, 1e-3, 0.01, 1.0, 1e4])
-@pytest.mark.parametrize("error", [0.0, 1e-4, 0.02])
-def test_mape_near_zero_and_far_from_it(metrics, radiance, error) -> None:
-    reference = torch.full((1, 3, 16, 16), radiance)
-    value = metrics(reference + error, reference)["mape"].item()
-    measured = float(torch.tensor(radiance) + error) - float(torch.tensor(radiance))  # as float32 holds it
-    assert value == pytest.approx(measured / (radiance + 0.01), rel=1e-3, abs=1e-9)
-
-
 def test_identical_images_are_perfect(metrics, pair) -> None:
     for image in (pair[1], torch.zeros_like(pair[1])):
         values = metrics(image, image)
@@ -91,29 +82,10 @@ def test_identical_images_are_perfect(metrics, pair) -> None:
         assert values["psnr"].isposinf().all()
 
 
-def test_a_black_prediction_has_closed_forms(metrics, pair) -> None:
-    _, reference = pair
-    values = metrics(torch.zeros_like(reference), reference)
-    y, tone = reference.double().numpy(), _tone_mapped(reference)
-    assert values["l1"].tolist() == pytest.approx(y.mean(axis=(1, 2, 3)).tolist(), rel=1e-5)
-    assert values["mape"].tolist() == pytest.approx((y / (y + 0.01)).mean(axis=(1, 2, 3)).tolist(), rel=1e-5)
-    assert (values["mape"] < 1).all()
-    assert values["psnr"].tolist() == pytest.approx((-10 * np.log10((tone**2).mean(axis=(1, 2, 3)))).tolist(), abs=1e-3)
-
-
 def test_values_are_the_same_inside_a_bf16_autocast(metrics, pair) -> None:
     expected = metrics(*pair)
     with torch.autocast("cpu", torch.bfloat16):
         values = metrics(*pair)
-    for name in metrics.names:
-        assert values[name].dtype == torch.float32
-        assert torch.equal(values[name], expected[name]), name
-
-
-@pytest.mark.parametrize("dtype", [torch.bfloat16, torch.float64])
-def test_images_of_another_precision_are_cast_before_anything_is_computed(metrics, pair, dtype) -> None:
-    given = [images.to(dtype) for images in pair]
-    values, expected = metrics(*given), metrics(*(images.float() for images in given))
     for name in metrics.names:
         assert values[name].dtype == torch.float32
         assert torch.equal(values[name], expected[name]), name

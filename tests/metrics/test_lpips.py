@@ -1,7 +1,6 @@
 import copy
 
 import lpips
-import numpy as np
 import pytest
 import torch
 from safetensors.torch import save_file
@@ -11,7 +10,7 @@ from rfpp.errors import MissingDependencyError
 from rfpp.metrics.lpips import LPIPS, TRUNK, load_trunk, trunk_file
 
 
-def _images(seed: int, n: int = 2, size: int = 32) -> torch.Tensor:
+def _images(seed: int, n: int = 2, size: int = 16) -> torch.Tensor:
     return 2 * torch.rand(n, 3, size, size, generator=torch.Generator().manual_seed(seed)) - 1
 
 
@@ -19,31 +18,6 @@ def _of_the_package(trunk: dict) -> lpips.LPIPS:
     network = lpips.LPIPS(net="vgg", pnet_rand=True, verbose=False)
     network.net.load_state_dict(dict(zip(network.net.state_dict(), trunk.values(), strict=True)))
     return network
-
-
-def _written_out(trunk: dict, linear: list, a: torch.Tensor, b: torch.Tensor) -> float:
-    """The metric of one pair in float64, layer by layer as the paper states it."""
-    values = iter(trunk.values())
-    shift, scale = np.array([-0.030, -0.088, -0.188]), np.array([0.458, 0.448, 0.450])
-    x, y = (torch.tensor((image.numpy().transpose(1, 2, 0) - shift) / scale).permute(2, 0, 1)[None] for image in (a, b))
-    distance = 0.0
-    for stage, depth in enumerate([2, 2, 3, 3, 3]):
-        if stage:
-            x, y = nn.MaxPool2d(2, 2)(x), nn.MaxPool2d(2, 2)(y)
-        for _ in range(depth):
-            weight, bias = next(values).double(), next(values).double()
-            x, y = (nn.ReLU()(nn.functional.conv2d(z, weight, bias, padding=1)) for z in (x, y))
-        f, g = (z[0].permute(1, 2, 0).numpy() for z in (x, y))
-        f, g = (z / np.maximum(np.linalg.norm(z, axis=-1, keepdims=True), 1e-10) for z in (f, g))
-        distance += ((f - g) ** 2 @ linear[stage].numpy()).mean()
-    return float(distance)
-
-
-def test_equals_the_formula_written_out(random_trunk, random_lpips) -> None:
-    a, b = _images(0), _images(1)
-    linear = [layer.model[1].weight.detach().flatten().double() for layer in _of_the_package(random_trunk).lins]
-    expected = [_written_out(random_trunk, linear, x, y) for x, y in zip(a, b, strict=True)]
-    torch.testing.assert_close(random_lpips(a, b), torch.tensor(expected), rtol=1e-4, atol=1e-6)
 
 
 def test_equals_the_forward_of_the_package_in_value_and_gradient(random_trunk, random_lpips) -> None:
@@ -64,24 +38,6 @@ def test_pretrained_values_do_not_move(pretrained_lpips) -> None:
     checks = torch.sign(torch.sin(20 * rows))[:, None] * torch.sign(torch.sin(20 * rows))
     values = pretrained_lpips(torch.cat([gradient, gradient]), torch.cat([gradient.mT, checks.expand(1, 3, 64, 64)]))
     torch.testing.assert_close(values, torch.tensor([0.517032, 0.674328]), rtol=1e-3, atol=0)
-
-
-def test_is_zero_for_equal_images_and_symmetric(random_lpips) -> None:
-    a, b = _images(0), _images(1)
-    assert random_lpips(a, a).abs().max() == 0
-    torch.testing.assert_close(random_lpips(a, b), random_lpips(b, a))
-
-
-def test_gradient_matches_a_finite_difference(random_lpips) -> None:
-    a, b = _images(0, n=1, size=16), _images(1, n=1, size=16)
-    direction = _images(2, n=1, size=16)
-    a.requires_grad_()
-    random_lpips(a, b).sum().backward()
-    step = 1e-3
-    with torch.no_grad():
-        slope = (random_lpips(a + step * direction, b) - random_lpips(a - step * direction, b)) / (2 * step)
-    assert a.grad.abs().max() > 0
-    torch.testing.assert_close((a.grad * direction).sum()[None], slope, rtol=0.05, atol=1e-4)
 
 
 def test_gradient_is_finite_where_all_features_vanish(random_trunk) -> None:
@@ -113,11 +69,6 @@ def test_modes_and_casts_of_the_owner_do_not_reach_it(random_lpips) -> None:
     a, b = _images(0), _images(1)
     owner.train().bfloat16()
     assert torch.equal(owner.lpips(a, b), random_lpips(a, b))
-
-
-def test_frozen_trunk_gathers_no_gradient(random_lpips) -> None:
-    random_lpips(_images(0).requires_grad_(), _images(1)).sum().backward()
-    assert all(not w.requires_grad and w.grad is None for w in random_lpips._network.parameters())
 
 
 def test_construction_draws_no_random_numbers(random_trunk) -> None:

@@ -9,7 +9,7 @@ from networks import network
 from random_scenes import random_views
 
 from rfpp.batch import RaggedBatch, SceneViews
-from rfpp.model.exposure import MeanIrradianceExposure, UnitExposure
+from rfpp.model.exposure import MeanIrradianceExposure
 from rfpp.raycast.first_hit import DIRECT_CHANNELS
 from rfpp.scene.triangles import EMISSION, SceneTriangles
 from rfpp.training.augmentation import moved
@@ -17,10 +17,10 @@ from rfpp.training.augmentation import moved
 KNOWN_LIGHT = ("experiment=[quickstart,known_light]",)
 
 
-def triangle(centre, x, y) -> np.ndarray:
+def triangle(center, x, y) -> np.ndarray:
     """A triangle with this centroid, spanned by x and y: its area is 3/2 |x × y|, its normal along x × y."""
-    centre, x, y = (np.asarray(v, dtype=float) for v in (centre, x, y))
-    return np.stack([centre + x, centre + y, centre - x - y])
+    center, x, y = (np.asarray(v, dtype=float) for v in (center, x, y))
+    return np.stack([center + x, center + y, center - x - y])
 
 
 def scene(*objects: tuple[np.ndarray, float]) -> RaggedBatch:
@@ -53,12 +53,6 @@ def test_a_turned_light_sends_less_by_the_cosine_from_either_side(degrees):
     )
 
 
-def test_a_light_seen_edge_on_still_reaches_what_lies_beside_its_plane():
-    edge_on = triangle((0, 0, 2), (0.01, 0, 0), (0, 0, 0.01))
-    little = MeanIrradianceExposure()(scene((FLOOR, 0), (edge_on, 3000)))
-    assert 0 < little < 0.03 * MeanIrradianceExposure()(scene((FLOOR, 0), (LIGHT, 3000)))
-
-
 def test_lights_add_up_and_objects_count_by_area():
     other = triangle((1, 0, 1.5), (0.01, 0, 0), (0, 0, 0.02))
     one, two = (MeanIrradianceExposure()(scene((FLOOR, 0), light)) for light in ((LIGHT, 3000), (other, 1000)))
@@ -76,12 +70,6 @@ def test_lights_add_up_and_objects_count_by_area():
 def test_without_light_or_without_surfaces_the_exposure_is_one():
     for objects in ([(FLOOR, 0)], [(LIGHT, 3000)]):
         assert MeanIrradianceExposure()(scene(*objects)).tolist() == [1]
-
-
-def test_a_light_that_touches_its_object_gives_a_finite_exposure():
-    exposure = MeanIrradianceExposure()(scene((FLOOR, 0), (FLOOR, 3000)))
-    assert torch.isfinite(exposure).all()
-    assert (exposure > 0).all()
 
 
 def test_exposure_of_a_packed_scene_is_its_own_and_a_rigid_motion_does_not_change_it():
@@ -120,9 +108,3 @@ def test_brighter_lights_make_the_image_brighter_by_the_same(factor):
     before = radiance(views)
     assert before.abs().mean() > 1e-3
     torch.testing.assert_close(radiance(with_brighter_lights(views, factor)), factor * before, rtol=1e-3, atol=1e-5)
-
-
-def test_at_unit_exposure_the_network_sees_the_lights_as_they_are():
-    batch = RaggedBatch.pack([random_views(np.random.default_rng(4))])
-    assert UnitExposure()(batch).tolist() == [1]
-    assert torch.equal(batch.normalized(UnitExposure()(batch)).material, batch.material)

@@ -1,4 +1,4 @@
-"""What must not change the image, and what must not leak, whatever the weights."""
+"""Invariances of the image, and independence of scenes and views in a batch."""
 
 from dataclasses import replace
 
@@ -30,7 +30,7 @@ def some_views(rng: np.random.Generator, object_sizes=(12, 5, 1), **how) -> Scen
 
 
 def packed(net, *samples: SceneViews) -> RaggedBatch:
-    """With as many channels as the network reads."""
+    """Pack samples with the channels of the network."""
     count = sum(CHANNELS[name] for name in net.gbuffer_channels)
     return RaggedBatch.pack([replace(s, gbuffer=s.gbuffer[:, :count]) for s in samples])
 

@@ -1,4 +1,4 @@
-"""Which ray tokens see each other."""
+"""Attention windows of ray tokens."""
 
 import pytest
 import torch

@@ -11,7 +11,7 @@ from rfpp.segments import Segments
 
 
 def tiled(q, k, v, real):
-    """As `attend_loop` but for the pattern: [n, h, d] of one segment."""
+    """Attend within one segment [n, h, d], with the layout of `attend_loop`."""
     return attend_tiled(*(x.transpose(0, 1) for x in (q, k, v)), real).transpose(0, 1)
 
 

@@ -78,9 +78,9 @@ def test_light_is_linear_and_the_same_scene_gives_the_same_cells():
     bright[:, EMISSION] *= 3
     lit = find_cells(LightSampler(replace(scene, material=bright)))[0]
     np.testing.assert_allclose(lit.direct, 3 * cells.direct, rtol=1e-5)
-    np.testing.assert_allclose(lit.highlights, 3 * cells.highlights, rtol=1e-5)
-    assert cells.highlights.any()
-    for name in ("hits", "onward", "direct", "highlights"):
+    np.testing.assert_allclose(lit.bounced, 3 * cells.bounced, rtol=1e-5)
+    assert cells.bounced.any()
+    for name in ("hits", "onward", "direct", "bounced"):
         np.testing.assert_array_equal(
             getattr(find_cells(LightSampler(scene))[0], name), getattr(cells, name), err_msg=name
         )

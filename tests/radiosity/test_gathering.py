@@ -212,6 +212,6 @@ def test_surfaces_that_touch_are_not_seen_from_where_they_touch():
     origin, way = np.array([[0, 0, 0.0], [0, 0, 0.5]] * 200), np.array([[0, 0, -1.0]] * 400)
     rng = np.random.default_rng(0)
     ends = follow_rays(sampler, find_cells(sampler)[1], origin, way, np.ones(400), rng)
-    touching, away = ends.highlights[::2], ends.highlights[1::2]
+    touching, away = ends.light[::2], ends.light[1::2]
     assert not touching.any() and (away > 0).any() and np.isfinite(away).all()
     assert (ends.onward[::2] == NOWHERE).all()

@@ -26,27 +26,33 @@ def cells(diffuse: float, specular: float = 0.0, count: int = 5) -> CellTensors:
     rays = torch.arange(1, count + 1).remainder(count)[:, None].expand(count, 8)
     albedo = torch.ones(count, 3)
     direct = torch.ones(count, 3)
-    return CellTensors(diffuse * albedo, specular * albedo, direct, torch.zeros(count, 3), rays, rays)
+    return CellTensors(diffuse * albedo, specular * albedo, direct, (diffuse + specular) * direct, rays, rays)
 
 
 @pytest.mark.parametrize("albedo", [0.0, 0.5, 0.8])
 def test_light_in_a_closed_room_is_a_geometric_series(albedo):
     for lit, bounces in zip(Radiosity().solve(cells(albedo), 4), range(5), strict=True):
-        expected = sum(albedo**k for k in range(bounces + 1))
-        torch.testing.assert_close(lit.irradiance, torch.full((5, 3), expected))
+        expected = sum(albedo**k for k in range(1, bounces + 1))
+        torch.testing.assert_close(lit.indirect, torch.full((5, 3), float(expected)))
+
+
+@pytest.mark.parametrize("albedo", [0.5, 0.8, 0.95])
+def test_it_takes_as_many_bounces_as_the_room_needs(albedo):
+    expected = albedo / (1 - albedo)
+    torch.testing.assert_close(Radiosity().solve(cells(albedo))[-1].indirect.mean().item(), expected, rtol=0.03, atol=0)
 
 
 def test_energy_never_grows():
-    bright = cells(0.9, 0.9).conserving()
+    bright = replace(cells(0.9, 0.9).conserving(), bounced=torch.ones(5, 3))
     torch.testing.assert_close(bright.diffuse + bright.specular, torch.ones(5, 3))
     states = Radiosity().solve(bright, 6)
-    growth = [b.irradiance.mean() - a.irradiance.mean() for a, b in pairwise(states)]
+    growth = [b.indirect.mean() - a.indirect.mean() for a, b in pairwise(states)]
     assert all(step <= 1 + 1e-5 for step in growth)
 
 
 def test_rays_that_escape_bring_nothing():
     dark = replace(cells(0.8), hits=torch.full((5, 8), 5), onward=torch.full((5, 8), 5))
-    assert torch.equal(Radiosity().solve(dark, 3)[-1].irradiance, dark.direct)
+    assert torch.equal(Radiosity().solve(dark, 3)[-1].indirect, dark.bounced)
 
 
 def plane(roughness: float, reflected: torch.Tensor, points: int) -> View:

@@ -49,7 +49,7 @@ def test_reflected_light_changes_as_its_trace_says(columns):
 
 
 @pytest.mark.parametrize("columns", [DIFFUSE, SPECULAR], ids=["diffuse", "specular"])
-def test_bounced_light_and_highlights_change_as_their_traces_say(columns):
+def test_bounced_light_changes_as_its_traces_say(columns):
     def of(scene: SceneTriangles):
         sampler = LightSampler(scene)
         places = find_places(scene, sampler.caster)
@@ -65,10 +65,9 @@ def test_bounced_light_and_highlights_change_as_their_traces_say(columns):
     of_floor = (triangle >= 0) & (triangle < FLOOR.stop)
     of_floor = of_floor.reshape(SIDE // POINTS, POINTS, SIDE // POINTS, POINTS).all((1, 3)).reshape(-1)
     at_pixels = (of_more.bounced - of_less.bounced).reshape(-1, 3)
-    of_cells, every = more.highlights - less.highlights, np.ones(len(cells), bool)
+    of_cells, every = more.bounced - less.bounced, np.ones(len(cells), bool)
     traces = [(pixels.trace, at_pixels, of_floor)]
-    if columns == SPECULAR:
-        traces.append((sources.highlights, of_cells, every))
+    traces.append((sources.bounced, of_cells, every))
     for trace, change, rows in traces:
         of_box = (trace.triangle >= BOX.start) & (trace.triangle < BOX.stop)
         by_albedo = trace.diffuse if columns == DIFFUSE else trace.specular

@@ -31,11 +31,6 @@ def test_it_looks_along_minus_z_with_x_right_and_y_up() -> None:
     assert in_camera((0.1, 0.0, 0.5))[1] > 0, "a point above the look-at point"
 
 
-def test_up_rolls_the_camera() -> None:
-    rolled = Camera(position=(0, -2, 0), look_at=(0, 0, 0), up=(1, 0, 0), fov=40)
-    assert in_camera((0.5, 0, 0), rolled)[1] == pytest.approx(0.5, abs=1e-6)
-
-
 @pytest.mark.parametrize(("height", "width"), [(4, 4), (4, 8), (8, 4), (1, 1), (5, 3)])
 def test_the_longer_side_spans_minus_one_to_one(height: int, width: int) -> None:
     plane = pixel_plane(height, width)
@@ -47,7 +42,7 @@ def test_the_longer_side_spans_minus_one_to_one(height: int, width: int) -> None
 
 
 @pytest.mark.parametrize("points", [2, 3])
-def test_points_of_a_pixel_share_neither_row_nor_column_and_lie_around_its_centre(points: int) -> None:
+def test_points_of_a_pixel_share_neither_row_nor_column_and_lie_around_its_center(points: int) -> None:
     height, width = 4, 6
     plane = pixel_plane(points * height, points * width, points)
     of_pixels = plane.reshape(height, points, width, points, 2).swapaxes(1, 2).reshape(height, width, points**2, 2)
@@ -66,9 +61,3 @@ def test_rays_go_through_the_pixels_they_belong_to(height: int, width: int) -> N
     local = directions @ c2w[:3, :3]
     projected = local[..., :2] / -local[..., 2:] / np.tan(np.radians(CAMERA.fov) / 2)
     np.testing.assert_allclose(projected, pixel_plane(height, width), atol=1e-5)
-
-
-def test_the_field_of_view_is_the_angle_between_the_outer_edges() -> None:
-    _, directions = pixel_rays(np.eye(4, dtype=np.float32), 90.0, 1, 2001)
-    angle = np.degrees(np.arccos(np.clip(np.dot(directions[0, 0], directions[0, -1]), -1, 1)))
-    assert angle == pytest.approx(90, abs=0.1)

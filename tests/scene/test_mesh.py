@@ -1,4 +1,4 @@
-"""Meshes: files in and out, normalisation, decimation, degenerate faces."""
+"""Meshes: files in and out, normalization, decimation, degenerate faces."""
 
 from __future__ import annotations
 
@@ -15,7 +15,6 @@ from rfpp.errors import SceneError, UserError
 from rfpp.scene.io.mesh_files import load_mesh, save_mesh
 from rfpp.scene.mesh import (
     Mesh,
-    compacted,
     decimated,
     distinct,
     normalized,
@@ -55,15 +54,6 @@ def test_reads_what_others_export(tmp_path: Path, sphere: Mesh, suffix: str) -> 
     path = tmp_path / f"sphere.{suffix}"
     trimesh.Trimesh(sphere.vertices, sphere.faces).export(path)
     np.testing.assert_allclose(load_mesh(path).corners, sphere.corners, atol=1e-6)
-
-
-def test_obj_with_quads_groups_and_relative_indices(tmp_path: Path) -> None:
-    path = tmp_path / "mesh.obj"
-    path.write_text(
-        "mtllib none.mtl\no a\nv 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvn 0 0 1\nusemtl x\n"
-        "f 1/1/1 2/1/1 3/1/1 4/1/1\no b\nv 0 0 1\nv 1 0 1\nv 0 1 1\nusemtl y\nf -3 -2 -1\n"
-    )
-    assert len(load_mesh(path)) == 3
 
 
 BAD_MESHES = {
@@ -143,10 +133,6 @@ def test_decimation_keeps_the_shape_and_stops_at_the_target(sphere: Mesh) -> Non
     np.testing.assert_allclose(np.linalg.norm(result.vertices, axis=1), 1, atol=0.02)
 
 
-def test_decimation_leaves_a_small_mesh_alone(sphere: Mesh) -> None:
-    assert decimated(sphere, len(sphere)) is sphere
-
-
 def test_zero_area_triangles_are_dropped_at_any_scale() -> None:
     vertices = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [2, 0, 0], [9, 9, 9]])
     faces = np.array([[0, 1, 2], [0, 1, 1], [0, 1, 3]])
@@ -209,10 +195,3 @@ def test_equal_positions_are_found_also_where_their_keys_collide(mixers: int | N
         first, group = same_positions(positions)
         np.testing.assert_array_equal(positions[first][group], positions)
         assert len(first) == len(expected)
-
-
-@pytest.mark.parametrize("count", [6, 400])
-def test_compacted_numbers_what_faces_use(count: int) -> None:
-    used, faces = compacted(np.array([[5, 2, 4], [4, 2, 0]]), count)
-    assert used.tolist() == [0, 2, 4, 5]
-    np.testing.assert_array_equal(used[faces], [[5, 2, 4], [4, 2, 0]])

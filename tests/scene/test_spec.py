@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import warnings
-
 import numpy as np
 import pytest
-from pydantic import ValidationError
 
 from rfpp.errors import SceneError
 from rfpp.scene.mesh import Mesh
@@ -35,7 +32,7 @@ def thing(name: str = "thing", **material: object) -> SceneObject:
         (Material, GREY | {"emissive": (1, float("inf"), 1)}, r"material\.emissive\.1: .*finite"),
         (Material, GREY | {"rand_tri_diffuse_seed": -1}, r"material\.rand_tri_diffuse_seed: "),
         (Material, GREY | {"random_diffuse_type": "per-vertex"}, r"material\.random_diffuse_type: .*'per-triangle'"),
-        (Material, GREY | {"colour": 1}, r"material\.colour: unknown key"),
+        (Material, GREY | {"color": 1}, r"material\.color: unknown key"),
         (Material, {"diffuse": (0.5, 0.5, 0.5)}, r"material\.specular: this key is missing"),
         (Transform, {"rotation": (0, 0, float("nan"))}, r"transform\.rotation\.2: .*finite"),
         (Transform, {"scales": (1, 1, 1)}, r"transform\.scales: unknown key"),
@@ -57,26 +54,6 @@ def test_a_bad_value_is_one_line_naming_the_key(model: type, values: dict, messa
 def test_reflecting_more_than_arrives_is_a_warning_naming_the_object() -> None:
     with pytest.warns(UserWarning, match=r"^object 'mirror': diffuse \+ specular is 1\.1, above 1[^\n]*$"):
         thing("mirror", specular=(0.6, 0.6, 0.6))
-
-
-def test_exactly_one_is_no_warning() -> None:
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        thing(diffuse=(0.9, 0.7, 0.3), specular=(0.1, 0.3, 0.7))
-    assert caught == []
-
-
-def test_a_scene_cannot_be_changed() -> None:
-    scene = Scene(objects=(thing(),))
-    with pytest.raises(ValidationError, match="frozen"):
-        scene.name = "other"
-    with pytest.raises(ValidationError, match="frozen"):
-        scene.objects[0].material.roughness = 0.0
-
-
-def test_emissive_means_any_channel() -> None:
-    assert Material(**GREY, emissive=(0, 0, 1)).is_emissive
-    assert not Material(**GREY).is_emissive
 
 
 @pytest.mark.parametrize(

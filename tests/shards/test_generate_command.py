@@ -11,26 +11,12 @@ from pathlib import Path
 import psutil
 import pytest
 import trimesh
-from hydra import compose, initialize_config_dir
-from hydra.utils import instantiate
 from marks import requires_blender
 from PIL import Image
 
-from rfpp.shards.job import DatasetSettings
 from rfpp.shards.manifest import Manifest
 
 REPOSITORY = Path(__file__).resolve().parents[2]
-
-
-@pytest.mark.parametrize("experiment", ["quickstart", "small_scale", "large_scale"])
-def test_every_experiment_composes_to_a_family_and_valid_data_settings(experiment):
-    with initialize_config_dir(str(REPOSITORY / "conf"), version_base="1.3"):
-        cfg = compose("generate", [f"experiment={experiment}"])
-    data = instantiate(cfg.data, _convert_="all")
-    assert isinstance(data, DatasetSettings)
-    assert data.root == f"data/shards/{experiment}"
-    assert instantiate(cfg.family).cameras.count == data.views
-    assert instantiate(cfg.reference).denoise
 
 
 #: Generates one small scene.
@@ -118,7 +104,3 @@ def test_procedural_objects_need_no_preparation():
 def test_a_preview_needs_no_blender(tmp_path):
     assert run("preview=2", f"output={tmp_path}").returncode == 0
     assert Image.open(tmp_path / "quickstart_preview.png").size[0] > 400
-
-
-def test_an_unknown_action_lists_the_known():
-    assert "action=mend does not exist: choose from make, prepare, merge" in run("action=mend").stderr

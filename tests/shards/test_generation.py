@@ -24,7 +24,7 @@ from small_data import (
     recipe,
 )
 
-from rfpp.errors import MissingDependencyError, ShardError, UserError
+from rfpp.errors import ShardError, UserError
 from rfpp.shards import writer
 from rfpp.shards.dataset import ShardSplit
 from rfpp.shards.manifest import Manifest
@@ -57,13 +57,8 @@ def test_new_views_show_training_scenes_to_other_cameras(finished):
 
 
 def test_test_scenes_differ_from_training_scenes(finished):
-    colours = {tuple(s.triangles.material[2]) for split in ("train", "test") for s in scenes(finished, split)}
-    assert len(colours) == 7
-
-
-def test_noise_differs_between_samples(finished):
-    ratio = [s.images / (s.triangles.material[2, :3] + 0.1) for s in scenes(finished, "train")]
-    assert not np.allclose(ratio[0], ratio[1], rtol=0.01)
+    colors = {tuple(s.triangles.material[2]) for split in ("train", "test") for s in scenes(finished, split)}
+    assert len(colors) == 7
 
 
 def test_the_same_command_again_does_nothing(copied, finished):
@@ -75,7 +70,7 @@ def test_the_same_command_again_does_nothing(copied, finished):
     assert calls == [(10, 10)]
 
 
-@pytest.mark.parametrize(("workers", "count"), [(0, 2), (1, 3), (3, 3)])  # the end of a shard; the middle of one
+@pytest.mark.parametrize(("workers", "count"), [(0, 2), (2, 3)])  # the end of a shard; the middle of one
 def test_a_resumed_run_equals_an_uninterrupted_one(tmp_path, finished, workers, count):
     with pytest.raises(KeyboardInterrupt):
         make(tmp_path, progress=InterruptAfter(count), workers=workers)
@@ -88,14 +83,6 @@ def test_a_resumed_run_equals_an_uninterrupted_one(tmp_path, finished, workers, 
     assert hashes(tmp_path) == hashes(finished.root)
     assert manifest.hash == finished.hash
     assert not (tmp_path / "unfinished").exists()
-
-
-def test_a_truncated_sample_is_regenerated(tmp_path, finished):
-    with pytest.raises(KeyboardInterrupt):
-        make(tmp_path, progress=InterruptAfter(1))
-    [waiting] = tmp_path.rglob("*.sample")
-    waiting.write_bytes(waiting.read_bytes()[:-100])
-    assert make(tmp_path).hash == finished.hash
 
 
 def test_waiting_samples_are_not_mixed_with_other_settings(tmp_path):
@@ -238,16 +225,6 @@ def test_a_full_disk_names_the_shard_and_keeps_finished_ones(tmp_path, finished,
         "train-00000.tar",
     ]
     assert make(tmp_path).hash == finished.hash
-
-
-class WithoutBlender:
-    def __call__(self, *args):
-        raise MissingDependencyError("reference images need Blender: pip install it")
-
-
-def test_missing_blender_ends_the_run_at_once(tmp_path):
-    with pytest.raises(MissingDependencyError, match="need Blender"):
-        make(tmp_path, render=WithoutBlender())
 
 
 @pytest.mark.parametrize(

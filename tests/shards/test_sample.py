@@ -12,7 +12,6 @@ from rfpp.scene.camera import camera_to_world
 from rfpp.scene.triangles import SceneTriangles
 from rfpp.shards.sample import SCHEMA_VERSION, SceneSample, decode, encode
 from rfpp.shards.scene_rays import SceneRays
-from rfpp.shards.tar import pack, unpack
 
 STORED = (
     "normal", "roughness", "depth", "position", "albedo", "specular", "direct_diffuse", "direct_glossy",
@@ -123,10 +122,3 @@ def test_only_requested_views_and_channels_are_decoded(sample):
     decode(sample.key, needed, lambda views: [1], channels=())
     with pytest.raises(ShardError, match=r"view1\.light\.exr"):
         decode(sample.key, needed, lambda views: [1])
-
-
-def test_tar_blocks_round_trip(sample):
-    members = encode(sample)
-    blocks = pack(sample.key, members)
-    assert len(blocks) % 512 == 0
-    assert unpack(blocks) == (sample.key, members)

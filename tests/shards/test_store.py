@@ -11,7 +11,6 @@ import threading
 from functools import partial
 from pathlib import Path
 
-import fsspec
 import numpy as np
 import pytest
 
@@ -19,7 +18,7 @@ from rfpp.errors import MissingDependencyError, ShardError, UserError
 from rfpp.shards import store
 from rfpp.shards.cache import ShardCache
 from rfpp.shards.dataset import ShardSplit
-from rfpp.shards.manifest import MANIFEST_FILE, Manifest
+from rfpp.shards.manifest import MANIFEST_FILE
 from rfpp.shards.tar import unpack
 
 
@@ -82,13 +81,6 @@ def test_a_remote_data_set_equals_its_folder_and_each_file_is_fetched_once(serve
     assert sorted(files) == ["train-00000.json", "train-00000.tar", "train-00002.json", "train-00002.tar"]
 
 
-def test_any_fsspec_file_system_works(finished, cache):
-    memory = fsspec.filesystem("memory")
-    memory.put(str(finished.root), "/small", recursive=True)
-    assert ShardSplit("memory://small", "test", cache)[1].key == "test-000001"
-    assert Manifest.load("memory://small", cache).samples("test") == finished.samples("test")
-
-
 def read_all(url: str, cache: ShardCache, results) -> None:
     split = ShardSplit(url, "train", cache)
     results.put([split[i].key for i in range(len(split))])
@@ -122,11 +114,6 @@ def test_the_cache_evicts_least_recently_used_files_without_disturbing_readers(s
     shutil.rmtree(cache.folder)
     np.testing.assert_array_equal(split[0].images, first)
     assert split[3].key == "train-000003"  # open files remain readable after their removal
-
-
-def test_a_file_larger_than_the_cache_is_refused(server, tmp_path):
-    with pytest.raises(UserError, match=r"does not fit: raise datamodule\.source\.cache\.gigabytes"):
-        ShardSplit(server.url, "train", ShardCache(tmp_path, gigabytes=1e-7))[0]
 
 
 def test_a_truncated_copy_is_fetched_again(server, cache):

@@ -43,7 +43,7 @@ sys.meta_path[sys.meta_path.index(PathFinder)] = Bare
 
 
 def requirements_with(*extras: str) -> list[str]:
-    """Of the project, with these extras alone."""
+    """Return the requirements of the project with these extras."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     return [*project["dependencies"], *(text for name in extras for text in project["optional-dependencies"][name])]
 

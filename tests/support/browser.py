@@ -53,7 +53,7 @@ def browser(_chromium) -> Iterator:
 
 
 def console_errors(browser) -> list[str]:
-    """What the console has been told since it was last asked: exceptions, failed loads, refusals."""
+    """Return errors of the console since the last call."""
     return [entry["message"] for entry in browser.get_log("browser") if entry["level"] == "SEVERE"]
 
 

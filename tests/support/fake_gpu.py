@@ -47,7 +47,7 @@ class Copies(TorchDispatchMode):
 
 
 class _WithoutDriver(TorchFunctionMode):
-    """What PyTorch does only where there is a driver: autocast, and, from Python, indexing and contiguous copies."""
+    """Replacements for operations of PyTorch that need a driver: autocast, indexing and contiguous copies."""
 
     def __init__(self, autocast: bool) -> None:
         super().__init__()

@@ -37,7 +37,7 @@ MOST_GB = 2
 
 @dataclass
 class Attempts:
-    """Of one kind of input.
+    """Counts for one kind of input.
 
     Attributes:
         tried: inputs.
@@ -89,7 +89,7 @@ def write_table(path: Path) -> None:
 
 
 def _gb(name: str, forget_most: bool = False) -> float:
-    """What Linux says of this process's memory: VmRSS now, VmHWM at most since it was told to forget; else 0."""
+    """Return memory of this process on Linux in GB: VmRSS now, VmHWM at most since the last reset; else 0."""
     status = Path("/proc/self/status")
     if not status.exists():
         return 0.0

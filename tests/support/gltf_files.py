@@ -77,7 +77,7 @@ class GltfBuilder:
         return struct.pack("<4sII", b"glTF", 2, 12 + len(body)) + body
 
     def gltf(self, uri: str | None = None) -> bytes:
-        """With the buffer in a data URI, or said to lie at `uri`."""
+        """Return a glTF file with its buffer in a data URI or at `uri`."""
         uri = uri or "data:application/octet-stream;base64," + base64.b64encode(self.binary).decode()
         self.document["buffers"] = [{"byteLength": len(self.binary), "uri": uri}]
         return json.dumps(self.document).encode()

@@ -1,4 +1,4 @@
-"""What tests run on a GPU in a process of its own, without type checks, which a compiler cannot trace."""
+"""Compiled blocks on a GPU, in a process without type checks, which a compiler cannot trace."""
 
 from functools import partial
 

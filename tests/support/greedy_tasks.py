@@ -39,12 +39,3 @@ class Hungry(Inference):
             return run()
 
         return eat
-
-
-@dataclass(frozen=True)
-class Impossible(Inference):
-    """Task that allocates more than any machine has."""
-
-    def prepare(self, name, network, batch, setting):
-        run = super().prepare(name, network, batch, setting)
-        return (lambda: torch.empty(1 << 58)) if name == "RenderFormer" else run

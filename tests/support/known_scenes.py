@@ -12,7 +12,7 @@ LIGHT = np.array([[[-0.025, 0.025, 0.025], [0.025, -0.025, 0.025], [0.025, 0.025
 
 
 def material(diffuse=0.0, specular=0.0, roughness=0.5, emission=0.0) -> np.ndarray:
-    """One row of `SceneTriangles.material`; greys may be given as one number."""
+    """One row of `SceneTriangles.material`; grays may be given as one number."""
     return np.concatenate(
         [np.broadcast_to(v, n) for v, n in ((diffuse, 3), (specular, 3), (roughness, 1), (emission, 3))]
     )
@@ -44,16 +44,16 @@ def square(size=1.0, z=0.0) -> np.ndarray:
     return np.add([[a, b, c], [a, c, d]], (0, 0, z))
 
 
-def box(size, centre=(0, 0, 0)) -> np.ndarray:
-    return trimesh.creation.box(np.broadcast_to(size, 3)).triangles + np.asarray(centre)
+def box(size, center=(0, 0, 0)) -> np.ndarray:
+    return trimesh.creation.box(np.broadcast_to(size, 3)).triangles + np.asarray(center)
 
 
-def sphere(radius, centre=(0, 0, 0), subdivisions=3) -> np.ndarray:
-    return trimesh.creation.icosphere(subdivisions, radius=radius).triangles + np.asarray(centre)
+def sphere(radius, center=(0, 0, 0), subdivisions=3) -> np.ndarray:
+    return trimesh.creation.icosphere(subdivisions, radius=radius).triangles + np.asarray(center)
 
 
 def still_life(seed=0) -> SceneTriangles:
-    """A floor, a shiny ball, a box with a colour per triangle and two lights."""
+    """A floor, a shiny ball, a box with a color per triangle and two lights."""
     colors = np.random.default_rng(seed).uniform(0, 0.8, (12, 3))
     painted = np.stack([material(diffuse=color, specular=0.1) for color in colors])
     return pack(

@@ -60,7 +60,7 @@ def prepared(objects: FolderObjects) -> Library:
 
 
 def write_obj(path, *groups):
-    """Of (material, mesh) pairs, without any MTL file."""
+    """Write (material, mesh) pairs to an OBJ file without an MTL file."""
     lines, start = [], 1
     for material, mesh in groups:
         lines += [f"v {x} {y} {z}" for x, y, z in mesh.vertices] + [f"usemtl {material}"]

@@ -18,9 +18,8 @@ VARIANTS = {
     "windows": (*PAPER, "+model.decoder.windows={_target_: rfpp.model.layers.ray_windows.ShiftedWindows, size: 2}"),
     **{
         name: (f"experiment=[large_scale,paper/{name}]", "size=tiny", *HEADS)
-        # without_tcl is the paper's network, renderformer_finetuned RenderFormer's
-        for name in ("without_pitg", "without_ggd", "one_iteration", "renderformer", "renderformer_pitg",
-                     "renderformer_hoct")
+        # without_tcl and other iterations are the paper's network, renderformer_finetuned RenderFormer's
+        for name in ("without_pitg", "without_ggd", "renderformer", "renderformer_pitg", "renderformer_hoct")
     },
 }  # fmt: skip
 

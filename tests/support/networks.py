@@ -39,6 +39,6 @@ def network(*overrides: str, seed: int = 0) -> RenderFormerPP:
 
 
 def checkpoint_info(model: dict | None = None, resolution=(16, 16), **changes) -> CheckpointInfo:
-    """What a checkpoint of a network says about itself."""
+    """Return the description of a checkpoint."""
     about = {"data_manifest": "hash", "dataset": "small", "method": "RenderFormer++", "seed": 0, "steps": 10}
     return CheckpointInfo(model or model_config(), resolution, **about | changes)

@@ -12,8 +12,8 @@ def random_triangles(rng: np.random.Generator, object_sizes=(12, 5, 1)) -> Scene
     """Objects of the given triangle counts at random places; the last one is a light."""
     positions, normals, materials = [], [], []
     for o, count in enumerate(object_sizes):
-        centre = rng.uniform(-0.4, 0.4, 3)
-        positions.append(centre + rng.normal(0, 0.08, (count, 3, 3)))
+        center = rng.uniform(-0.4, 0.4, 3)
+        positions.append(center + rng.normal(0, 0.08, (count, 3, 3)))
         directions = rng.normal(size=(count, 3, 3))
         normals.append(directions / np.linalg.norm(directions, axis=-1, keepdims=True))
         material = np.concatenate([rng.uniform(0, 0.6, 3), [rng.uniform(0, 0.3)] * 3, rng.uniform(0.05, 1, 1), [0] * 3])

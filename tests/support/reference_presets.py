@@ -8,7 +8,7 @@ from rfpp.commands import settings
 
 
 def preset(name: str) -> dict[str, Any]:
-    """What `CyclesSettings` is made of."""
+    """Return the arguments of `CyclesSettings`."""
     values = OmegaConf.to_container(settings("reference", "reference_settings", name))
     assert values.pop("_target_") == "rfpp.reference.cycles.CyclesSettings"
     return values

@@ -37,7 +37,7 @@ def direct_light(scene: SceneTriangles, surface: Surface, samples: int, rng: np.
 
 
 def cell_keys(grid: CellGrid, triangle: np.ndarray, point: np.ndarray, back: np.ndarray) -> np.ndarray:
-    """As `CellGrid.keys`."""
+    """Return the keys of `CellGrid.keys`."""
     owner = grid.triangles.object_index[triangle].astype(np.int64)
     pieces, half, within = grid.pieces[owner], grid.half[owner], 0
     local = np.einsum("rij,rj->ri", grid.axes[owner], point - grid.centroid[owner])

@@ -67,7 +67,7 @@ def random_checkpoint(config: dict, seed: int = 0) -> dict[str, torch.Tensor]:
     for name, shape in shapes.items():
         fan_in = math.prod(shape[1:]) if name.endswith("weight") and len(shape) > 1 else 4
         noise = torch.randn(shape, generator=generator)
-        gain = 0.7 if "out_dpt" in name else 1.5  # nothing normalises the image head's sums
+        gain = 0.7 if "out_dpt" in name else 1.5  # nothing normalizes the image head's sums
         tensors[name] = 1 + 0.2 * noise if "norm.weight" in name else gain * noise / fan_in**0.5
     frequencies = 2 ** torch.linspace(0, math.log2(5), config["vertex_pe_num_freqs"] // 2)
     tensors["transformer.rope_emb.freqs"] = frequencies
@@ -127,12 +127,12 @@ def render(w: dict, config: dict, tokens: torch.Tensor, triangles: torch.Tensor,
     freqs = w["view_transformer.transformer.rope_emb.freqs"]
     context_angles = rotary_angles(with_registers(seen, config), freqs)
 
-    centres = (torch.arange(size) + 0.5) / size * 2 - 1
+    centers = (torch.arange(size) + 0.5) / size * 2 - 1
     tangent = math.tan(math.radians(fov_degrees) / 2)
     rays = torch.stack(
         [
-            (centres * tangent).expand(size, size),
-            (-centres * tangent)[:, None].expand(size, size),
+            (centers * tangent).expand(size, size),
+            (-centers * tangent)[:, None].expand(size, size),
             -torch.ones(size, size),
         ]
     )
@@ -162,8 +162,8 @@ def render(w: dict, config: dict, tokens: torch.Tensor, triangles: torch.Tensor,
 
 def with_registers(triangles: torch.Tensor, config: dict) -> torch.Tensor:
     """[registers + M, 9]: registers stand at the mean vertex, three times."""
-    centre = triangles.reshape(-1, 3).mean(0).repeat(config["num_register_tokens"], 3)
-    return torch.cat([centre, triangles.reshape(-1, 9)])
+    center = triangles.reshape(-1, 3).mean(0).repeat(config["num_register_tokens"], 3)
+    return torch.cat([center, triangles.reshape(-1, 9)])
 
 
 def rotary_angles(points: torch.Tensor, frequencies: torch.Tensor) -> torch.Tensor:
@@ -205,7 +205,7 @@ def attention(w, name, query, context, heads, query_angles, context_angles, allo
 
 
 def windowed(w, name, x, heads, grid, shift, size=8) -> torch.Tensor:
-    """Windows of a cyclically shifted grid, in which tokens that were not neighbours are masked (Liu et al. 2021)."""
+    """Windows of a cyclically shifted grid, in which tokens that were not neighbors are masked (Liu et al. 2021)."""
     row, column = (i.ravel() for i in torch.meshgrid(torch.arange(grid), torch.arange(grid), indexing="ij"))
     r, c = (row - shift) % grid, (column - shift) % grid
     window = (r // size) * 1000 + c // size

@@ -141,7 +141,7 @@ class SlurmCluster:
         raise TimeoutError(f"job {job} is {states} after {timeout} s; see {self.folder}/*.log")
 
     def states(self, job: str) -> list[str]:
-        """Of the tasks of a job."""
+        """Return the states of the tasks of a job."""
         shown = subprocess.run(
             ["scontrol", "show", "job", job], capture_output=True, text=True, timeout=30, check=False
         ).stdout
@@ -164,7 +164,7 @@ class SlurmCluster:
 
 
 def is_available() -> bool:
-    """Whether Slurm is installed and may be started."""
+    """Return whether Slurm is installed and may be started."""
     return os.geteuid() == 0 and all(map(shutil.which, ("munged", "slurmctld", "slurmd", "sbatch", "srun")))
 
 

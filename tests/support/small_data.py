@@ -34,7 +34,7 @@ REFERENCE = CyclesSettings(
 
 @dataclass(frozen=True)
 class BoxFamily:
-    """A peak of random place and colour on a floor; some cameras look into the void, some scenes are dark."""
+    """A peak of random place and color on a floor; some cameras look into the void, some scenes are dark."""
 
     views: int = 2
     looks_away: float = 0.0  # probability per camera
@@ -44,11 +44,11 @@ class BoxFamily:
     def sample(self, scene_rng, camera_rng, *, held_out) -> Scene:
         fixed = Transform(normalize=False)
         place = Transform(normalize=False, translation=tuple(scene_rng.uniform(-0.2, 0.2, 3)))
-        colour = Material(diffuse=tuple(scene_rng.uniform(0, 0.8, 3)), specular=(0.1,) * 3, roughness=0.5)
-        grey = Material(diffuse=(0.5,) * 3, specular=(0.2,) * 3, roughness=0.3, smooth_shading=True)
+        color = Material(diffuse=tuple(scene_rng.uniform(0, 0.8, 3)), specular=(0.1,) * 3, roughness=0.5)
+        gray = Material(diffuse=(0.5,) * 3, specular=(0.2,) * 3, roughness=0.3, smooth_shading=True)
         power = 0.001 if scene_rng.random() < self.night else 3000.0
         lamp = Material(diffuse=(1.0,) * 3, specular=(0.0,) * 3, roughness=1.0, emissive=(power,) * 3)
-        parts = [("floor", FLOOR, grey, fixed), ("peak", PEAK, colour, place), ("light", LIGHT, lamp, fixed)]
+        parts = [("floor", FLOOR, gray, fixed), ("peak", PEAK, color, place), ("light", LIGHT, lamp, fixed)]
         return Scene(
             name=self.name,
             objects=tuple(SceneObject(name=n, mesh=m, material=a, transform=t) for n, m, a, t in parts),
@@ -65,7 +65,7 @@ class BoxFamily:
 
 
 def invented(triangles, c2w, fov, height, width, settings) -> np.ndarray:
-    """Noise around a level that depends on the scene's colour."""
+    """Noise around a level that depends on the scene's color."""
     noise = np.random.default_rng(settings.seed).exponential(1.0, (len(c2w), height, width, 3))
     level = triangles.material[2, :3] + 0.1
     return (noise * level).astype(np.float16).astype(np.float32)

@@ -9,7 +9,7 @@ from rfpp.shards.scene_rays import SceneRays
 
 
 def stored_sample(scene: PackedScene | None = None, resolution: int = 16) -> SceneSample:
-    """Of this scene, or of a box on a floor, with invented images."""
+    """Return a sample of this scene, or of a box on a floor, with random images."""
     if scene is None:
         scene = pack(BoxFamily().sample(np.random.default_rng(1), np.random.default_rng(2), held_out=False))
     rays = SceneRays(scene.triangles)

@@ -73,12 +73,12 @@ def wait_for_step(run_dir: Path, step: int) -> None:
 
 
 def output(run_dir: Path) -> str:
-    """What the ranks of a run have printed, in all its attempts."""
+    """Return the output of all ranks and attempts of a run."""
     return "\n".join(path.read_text() for path in sorted(run_dir.parent.glob(f"{run_dir.name}-*.log")))
 
 
 def differences(a, b, where: str = "") -> list[str]:
-    """Where two nested states are not the same bit by bit."""
+    """Return the paths where two nested states differ in any bit."""
     if isinstance(a, torch.Tensor) and isinstance(b, torch.Tensor):
         same = (
             a.dtype == b.dtype and a.shape == b.shape and a.numpy(force=True).tobytes() == b.numpy(force=True).tobytes()

@@ -8,7 +8,7 @@ from rfpp.raycast.first_hit import first_hit, stack_channels
 from rfpp.scene.triangles import DIFFUSE, EMISSION, SPECULAR
 from rfpp.shards.dataset import ShardSplit
 from rfpp.shards.views import AllViews
-from rfpp.training.augmentation import ColorPermutation, RigidMotion, moved
+from rfpp.training.augmentation import ColorPermutation, RigidMotion
 
 CHANNELS = ("albedo", "normal", "position")
 
@@ -48,13 +48,6 @@ def test_augmentation_has_the_documented_spread(split):
     shifts = np.array([motion(views, CHANNELS, rng).c2w[0, :3, 3] - views.c2w[0, :3, 3] for _ in range(300)])
     np.testing.assert_allclose(shifts.std(axis=0), 0.25, rtol=0.15)
     np.testing.assert_allclose(shifts.mean(axis=0), 0, atol=0.05)
-
-
-def test_moved_rotates_normals_with_the_triangles(split):
-    views = AllViews(split, CHANNELS)[0]
-    quarter = np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1.0]])
-    turned = moved(views, quarter, np.zeros(3))
-    np.testing.assert_allclose(turned.triangles.normals[..., 1], views.triangles.normals[..., 0], atol=1e-6)
 
 
 def test_color_channels_trade_places_everywhere_at_once(split):

@@ -3,11 +3,8 @@
 import pytest
 import torch
 from compiled_gradients import batches, compare, gradients
-from hydra import compose, initialize_config_dir
-from hydra.utils import instantiate
 from networks import network
 
-from rfpp.commands import CONFIG_DIR
 from rfpp.errors import UserError
 from rfpp.training.blocks import RecomputedBlocks, RecomputedObjects
 
@@ -39,10 +36,3 @@ def test_compiled_blocks_give_the_same_gradients_for_any_number_of_tokens(in_pro
     assert max(differences) < 1e-4
     assert compilations[0] > 0
     assert compilations[-1] == compilations[1], "other numbers of tokens are compiled anew"
-
-
-@pytest.mark.parametrize(("name", "policy"), [("blocks", RecomputedBlocks), ("objects", RecomputedObjects)])
-def test_training_names_its_policy(name, policy):
-    with initialize_config_dir(str(CONFIG_DIR), version_base="1.3"):
-        cfg = compose("train", overrides=["run_dir=unused", f"activation_checkpointing={name}"])
-    assert isinstance(instantiate(cfg.activation_checkpointing), policy)

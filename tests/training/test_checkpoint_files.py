@@ -77,11 +77,6 @@ def test_a_checkpoint_of_another_network_is_refused(folder):
         checkpoint_to_resume(AUTO, folder, other.model)
 
 
-def test_a_missing_checkpoint_is_named(folder):
-    with pytest.raises(CheckpointError, match="gone.ckpt: no such checkpoint"):
-        checkpoint_to_resume(str(folder / "gone.ckpt"), folder, INFO.model)
-
-
 def test_the_newest_are_kept_and_partial_files_are_deleted(folder):
     (folder / ".step-00000301.ckpt.x7").write_bytes(b"half")
     keep_newest(folder, 2)

@@ -1,4 +1,4 @@
-"""Whatever stops a training run, and whoever goes on with it: the weights are those of a run that was never stopped."""
+"""Resumed runs end with the weights of an uninterrupted run, bit by bit, for every way of stopping."""
 
 import json
 import os
@@ -66,7 +66,7 @@ def weights(checkpoint: dict) -> torch.Tensor:
 @pytest.mark.parametrize("precision", PRECISIONS)
 def test_killed_at_random_moments_it_ends_with_the_same_bits(precision, uninterrupted, data, folder):
     run_dir, rng = folder / f"killed-{precision}", np.random.default_rng(len(precision))
-    for step in (1, 4, 7):  # step 4 is followed by a validation
+    for step in (1, 4):  # step 4 is followed by a validation
         (process,) = start(run_dir, data, *RUN, *PRECISIONS[precision])
         wait_for_step(run_dir, step)
         time.sleep(rng.uniform(0, 0.2))

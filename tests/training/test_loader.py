@@ -86,7 +86,7 @@ def test_each_scene_comes_once_per_epoch(uninterrupted):
 
 
 @pytest.mark.filterwarnings("ignore:This DataLoader will create")
-@pytest.mark.parametrize(("ranks", "workers"), [(2, 0), (4, 0), (1, 1), (1, 3), (2, 1)])
+@pytest.mark.parametrize(("ranks", "workers"), [(2, 0), (4, 0), (1, 2)])
 def test_batches_are_the_same_for_any_number_of_ranks_and_workers(root, uninterrupted, ranks, workers):
     assert global_batches(root, ranks, workers=workers) == uninterrupted
 
@@ -173,11 +173,10 @@ def damaged(root: Path, target: Path, *keys: str) -> Path:
     return target
 
 
-@pytest.mark.parametrize("workers", [0, 1])
-def test_training_stops_at_damage_with_one_line_that_names_it(root, tmp_path, workers):
+def test_training_stops_at_damage_with_one_line_that_names_it(root, tmp_path):
     bad = damaged(root, tmp_path / "bad", "train-000003")
     with pytest.raises(ShardError) as stop:
-        global_batches(bad, workers=workers)
+        global_batches(bad, workers=1)
     assert "train-00001.tar: sample train-000003 does not have the recorded sha256: delete" in str(stop.value)
     assert "\n" not in str(stop.value)
     assert str(stop.value).startswith(str(bad))
@@ -204,14 +203,14 @@ def test_missing_and_truncated_shards_are_skipped(root, tmp_path, uninterrupted)
     assert keys == [key for batch in uninterrupted for key, _ in batch if key not in gone]
 
 
-@pytest.mark.parametrize("name", ["SIGUSR1", "SIGTERM", "SIGINT"])
-def test_loader_processes_survive_stop_signals(root, uninterrupted, name):
+def test_loader_processes_survive_stop_signals(root, uninterrupted):
     """Slurm signals every process of a job; the ranks need their data until they have agreed and saved."""
     before = set(active_children())
     loader = iter(datamodule(root, workers=1).train_dataloader())
     keys = [next(loader).keys]
     [worker] = set(active_children()) - before
-    os.kill(worker.pid, signal.Signals[name])
+    for name in ("SIGUSR1", "SIGTERM", "SIGINT"):
+        os.kill(worker.pid, signal.Signals[name])
     keys += [batch.keys for batch in loader]
     assert keys == [tuple(key for key, _ in batch) for batch in uninterrupted]
 

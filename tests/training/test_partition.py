@@ -47,10 +47,3 @@ def test_no_part_gets_the_largest_scene_more_often_than_others():
         largest = int(np.argmax(scenes))
         owners.append(next(number for number, part in enumerate(found) if largest in part))
     assert np.bincount(owners, minlength=4).min() > 30  # of 50
-
-
-def test_contiguous_parts_need_no_sizes():
-    def triangles_of(draw: str) -> int:
-        raise AssertionError("not needed")
-
-    assert Contiguous()("abcdef", triangles_of, 3) == [["a", "b"], ["c", "d"], ["e", "f"]]

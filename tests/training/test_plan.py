@@ -4,9 +4,6 @@ import warnings
 
 import pytest
 import torch
-from omegaconf import OmegaConf
-from small_data import make
-from training_runs import train
 
 from rfpp.errors import UserError
 from rfpp.training.plan import choose_precision, plan_training
@@ -51,12 +48,6 @@ def test_automatic_precision_follows_the_processor(capabilities, expected, monke
     assert choose_precision("auto", "cpu", None) == expected
 
 
-@pytest.mark.parametrize("setting", ["32-true", "bf16-mixed"])
-def test_an_explicit_precision_wins(setting, monkeypatch):
-    monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: NONE)
-    assert choose_precision(setting, "cpu", None) == setting
-
-
 @pytest.mark.parametrize("before", ["32-true", "bf16-mixed"])
 def test_a_resumed_run_keeps_its_precision_on_any_machine(before, tmp_path, monkeypatch):
     monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: NONE if before == "bf16-mixed" else BFLOAT16)
@@ -68,17 +59,3 @@ def test_a_resumed_run_keeps_its_precision_on_any_machine(before, tmp_path, monk
 def test_a_change_of_precision_is_warned_of(tmp_path):
     with pytest.warns(UserWarning, match="was trained in 32-true and continues in trainer.precision=bf16-mixed"):
         assert choose_precision("bf16-mixed", "cpu", run_with(tmp_path, "32-true")) == "bf16-mixed"
-
-
-def test_the_run_s_configuration_records_the_plan(tmp_path):
-    data = make(tmp_path / "small", splits={"train": 4, "validation": 2}).root
-    (tmp_path / "runs").mkdir()
-    run = tmp_path / "runs" / "run"
-    halves = "datamodule.batching.scenes_per_device=2"
-    train(run, data, "logger=none", "steps=1", "trainer.val_check_interval=7", halves)
-    config = OmegaConf.load(run / "config.yaml")
-    assert config.trainer.precision == "auto"
-    assert config.plan == {
-        "ranks": 1, "precision": choose_precision("auto", "cpu", None), "accumulate_grad_batches": 2,
-        "val_check_interval": 2,
-    }  # fmt: skip

@@ -22,13 +22,6 @@ def test_a_row_per_step_and_a_column_per_metric(tmp_path):
     ]
 
 
-def test_every_checkpoint_updates_the_table(tmp_path):
-    logger = RunLogger("run", tmp_path)
-    logger.log_metrics({"loss": 1.0}, 0)
-    logger.sync()
-    assert [row["step"] for row in table(tmp_path)] == ["0"]
-
-
 def test_a_resumed_run_repeats_no_step_and_loses_none(tmp_path):
     killed = RunLogger("run", tmp_path)
     for step in range(4):
@@ -43,8 +36,3 @@ def test_a_resumed_run_repeats_no_step_and_loses_none(tmp_path):
 def test_a_run_that_fails_before_it_logs_leaves_nothing(tmp_path):
     RunLogger("run", tmp_path / "run").finalize("failed")
     assert not (tmp_path / "run").exists()
-
-
-def test_it_has_no_mlflow_run(tmp_path):
-    logger = RunLogger("run", tmp_path)
-    assert (logger.run_id, logger.tracking_uri, logger.version) == (None,) * 3

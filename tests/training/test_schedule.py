@@ -26,7 +26,3 @@ def test_rises_linearly_then_falls_to_the_final_fraction():
     assert lr[55] == pytest.approx(2.0 * 0.55)  # half way down from 1 to 0.1
     assert lr[100] == pytest.approx(0.2)
     assert all(a >= b for a, b in pairwise(lr[10:]))
-
-
-def test_without_warm_up_it_starts_at_the_top():
-    assert rates(1, warmup_steps=0, total_steps=10, final_fraction=0.0) == [2.0]

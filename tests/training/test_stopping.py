@@ -22,7 +22,7 @@ REPOSITORY = Path(__file__).resolve().parents[2]
 
 
 def catches(process: subprocess.Popen, number: signal.Signals) -> bool:
-    """Whether the process has a handler of its own for this signal."""
+    """Return whether the process handles this signal."""
     caught = Path(f"/proc/{process.pid}/status").read_text().partition("SigCgt:")[2].split()[0]
     return bool(int(caught, 16) >> (number - 1) & 1)
 

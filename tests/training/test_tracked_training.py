@@ -55,16 +55,6 @@ def test_every_step_is_logged(tracked):
     assert run.data.params["plan.precision"] in ("32-true", "bf16-mixed")
 
 
-def test_rates_are_those_of_the_batch(tracked):
-    *_, run = tracked
-    rate = {name: run.data.metrics[f"throughput/{name}_per_s"] for name in ("scenes", "images", "triangles", "tokens")}
-    views, triangles, objects = 2, 2 + 4 + 1, 3
-    assert rate["images"] / rate["scenes"] == pytest.approx(views)
-    assert rate["triangles"] / rate["scenes"] == pytest.approx(triangles)
-    bundles = views * (8 // 4) ** 2
-    assert rate["tokens"] / rate["scenes"] == pytest.approx(8 * objects + bundles)
-
-
 def test_every_validation_is_scored_and_shown(tracked):
     folder, _, client, run = tracked
     for name in ("log_l1", "l1", "mape", "ssim", "psnr"):
@@ -124,10 +114,6 @@ def test_the_best_checkpoint_is_loaded_from_the_registry(tracked):
 def test_a_model_that_is_not_there_is_one_clear_line(tracked, uri, problem):
     with pytest.raises(CheckpointError, match=problem):
         checkpoint_file(uri, None, tracked[0])
-
-
-def test_other_checkpoints_are_left_as_they_are(tmp_path):
-    assert checkpoint_file("a/best.ckpt", None, tmp_path) == "a/best.ckpt"
 
 
 def test_a_registered_model_renders(tracked, tmp_path):

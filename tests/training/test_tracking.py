@@ -106,17 +106,6 @@ def test_records_sent_twice_are_stored_once(store):
     assert run.data.params == {"x.y": "1"}
 
 
-def test_nothing_is_written_to_the_current_directory(store, tmp_path, monkeypatch):
-    elsewhere = tmp_path / "elsewhere"
-    elsewhere.mkdir()
-    monkeypatch.chdir(elsewhere)
-    tracked = logger(store, uri=f"sqlite:///{store}/mlflow.db")
-    tracked.log_file(_png(store / "run" / "a.png"), "pictures")
-    tracked.finalize("success")
-    assert list(elsewhere.iterdir()) == []
-    assert list((store / "artifacts").rglob("a.png"))
-
-
 def test_a_lost_run_id_is_found_again(store):
     first = logger(store)
     first.log_metrics({"a": 0.0}, 2)
@@ -239,11 +228,6 @@ def test_a_damaged_record_is_warned_of_and_omitted(tmp_path):
     path.write_bytes(b'\0\0\0\n[1]\n{"kind": "tags", "values": {}}\n')
     with pytest.warns(UserWarning, match=f"{path}: damaged"):
         assert [record["kind"] for record, _ in records(path)] == ["tags"]
-
-
-def test_a_run_that_fails_before_it_logs_leaves_nothing(store):
-    logger(store).finalize("failed")
-    assert not (store / "run").exists()
 
 
 def test_a_damaged_run_file_is_one_clear_line(store):

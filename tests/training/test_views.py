@@ -10,7 +10,6 @@ from rfpp.imaging.exr import decode_exr
 from rfpp.shards import sample
 from rfpp.shards.dataset import ShardSplit
 from rfpp.shards.order import ShuffledOrder
-from rfpp.shards.views import select_views
 from rfpp.training.augmentation import RigidMotion
 from rfpp.training.batching import BalancedBySize, Contiguous, Partition
 from rfpp.training.views import GlobalBatches, TrainingViews
@@ -24,14 +23,6 @@ def split(tmp_path_factory):
     return ShardSplit(manifest.root, "train")
 
 
-def test_selected_views_are_the_stored_ones(split):
-    stored = split[1]
-    views = select_views(stored, [1], CHANNELS)
-    np.testing.assert_array_equal(views.image[0], stored.images[1].transpose(2, 0, 1))
-    np.testing.assert_array_equal(views.c2w[0], stored.c2w[1])
-    assert views.gbuffer.shape == (1, 9, 8, 8)
-
-
 def test_a_draw_depends_on_seed_epoch_and_scene_only(split):
     motion = [RigidMotion(rotation=1.0, translation=0.25)]
     first, again = (TrainingViews(split, CHANNELS, 1, motion, seed=3)[5, 2] for _ in range(2))
@@ -42,11 +33,6 @@ def test_a_draw_depends_on_seed_epoch_and_scene_only(split):
         TrainingViews(split, CHANNELS, 1, motion, seed=3)[6, 2],
     ):
         assert not np.allclose(first.triangles.positions, other.triangles.positions)
-
-
-def test_all_views_of_a_scene_come_up(split):
-    images = {TrainingViews(split, CHANNELS, 1, [], seed=0)[epoch, 0].image.tobytes() for epoch in range(20)}
-    assert len(images) == 2
 
 
 def triangles_of(draw: tuple[int, int]) -> int:

@@ -4,16 +4,13 @@ import numpy as np
 import pytest
 from edited_scenes import scene
 
-from rfpp.errors import SceneError
 from rfpp.scene.packed import pack
 from rfpp.scene.spec import SceneObject
 from rfpp.viewer.edits import (
-    from_picker,
     power,
     quaternion,
     rotation,
     tint,
-    to_picker,
     with_light,
     with_material,
     with_object,
@@ -52,17 +49,6 @@ def test_power_and_color_of_a_light_are_independent():
     assert with_light(lamp, 100.0, tint(lamp)).material.emissive == (100.0, 50.0, 25.0)
     assert with_light(lamp, 100.0, (0.5, 0.25, 0.125)).material.emissive == (100.0, 50.0, 25.0)
     assert not with_light(lamp, 0.0, tint(lamp)).material.is_emissive
-
-
-def test_invalid_values_are_refused_by_name():
-    with pytest.raises(SceneError, match="roughness"):
-        with_material(item("floor"), roughness=1.5)
-
-
-def test_colors_of_the_picker_round_trip():
-    for picked in [(0, 0, 0), (255, 255, 255), (1, 2, 3), (10, 128, 200)]:
-        assert to_picker(from_picker(picked)) == picked
-    assert from_picker((188, 188, 188)) == pytest.approx((0.5,) * 3, abs=0.005)
 
 
 @pytest.mark.parametrize("angles", [(0, 0, 0), (30, 0, 0), (0, -50, 0), (0, 0, 170), (-120, 40, 75)])

@@ -19,12 +19,3 @@ def test_images_in_motion_meet_the_target_time():
         size = pacing.moving_size(512, 1.0)
         pacing.record(size, 2e-6 * size[0] * size[1])
     assert 0.09 < 2e-6 * size[0] * size[1] < 0.105  # sides are multiples of the patch
-
-
-def test_images_in_motion_have_at_least_64_pixels_and_at_most_those_at_rest():
-    fast, slow = Pacing(patch=4, seconds=0.1), Pacing(patch=4, seconds=0.1)
-    fast.record((64, 64), 1e-4)
-    slow.record((64, 64), 10.0)
-    assert fast.moving_size(128, 1.0) == (128, 128)
-    assert slow.moving_size(512, 1.0) == (64, 64)
-    assert slow.moving_size(32, 1.0) == (32, 32)

@@ -151,10 +151,3 @@ def test_every_layer_is_a_picture(renderer, name):
     picture = layers_of(renderer)[name].picture(pack(view.scene).seen_by([view.camera]), (16, 24), SRGB())
     assert picture.shape == (16, 24, 3) and picture.dtype == np.uint8
     assert picture.std() > 1
-
-
-def test_light_after_all_transports_is_the_image(renderer):
-    packed = pack(scene()).seen_by(scene().cameras[:1])
-    layers = layers_of(renderer)
-    last = f"light after {renderer.engine.iterations} transports"
-    np.testing.assert_array_equal(*(layers[name].picture(packed, (16, 16), SRGB()) for name in ("image", last)))

@@ -29,6 +29,7 @@ class LightSampler(HasIntervals):
         elevation: degrees above the horizon, seen from the target.
         clearance: minimum distance of a light's origin to the plane of every panel.
         spacing: minimum distance between two lights.
+        one_sided: whether lights shine only towards the scene's centre.
     """
 
     count: Interval
@@ -40,6 +41,7 @@ class LightSampler(HasIntervals):
     elevation: Interval
     clearance: float
     spacing: float
+    one_sided: bool = False
 
     def sample(self, rng: np.random.Generator, open_region: OpenRegion) -> list[SceneObject]:
         """Draw the lights of a scene, named light_0, light_1, …"""
@@ -67,11 +69,19 @@ class LightSampler(HasIntervals):
         )
         # emitters have a white diffuse lobe, as in RenderFormer's scenes
         material = Material(
-            diffuse=(1.0,) * 3, specular=(0.0,) * 3, roughness=1.0, emissive=(uniform(rng, self.strength) / count,) * 3
+            diffuse=(1.0,) * 3,
+            specular=(0.0,) * 3,
+            roughness=1.0,
+            emissive=(uniform(rng, self.strength) / count,) * 3,
+            one_sided=self.one_sided,
         )
-        return SceneObject(name=name, mesh=triangle_mesh(), material=material, transform=transform)
+        light = SceneObject(name=name, mesh=triangle_mesh(), material=material, transform=transform)
+        a, b, c = light.world_mesh.corners[0]
+        if self.one_sided and np.cross(b - a, c - a) @ position > 0:  # it faces away from the scene
+            light = light.model_copy(update={"mesh": triangle_mesh(flipped=True)})
+        return light
 
 
-def triangle_mesh() -> Mesh:
-    """Return the mesh of every light."""
-    return Mesh(np.array(TRIANGLE), np.array([[0, 1, 2]]))
+def triangle_mesh(flipped: bool = False) -> Mesh:
+    """Return the mesh of every light, optionally with its back in front."""
+    return Mesh(np.array(TRIANGLE), np.array([[0, 2, 1] if flipped else [0, 1, 2]]))

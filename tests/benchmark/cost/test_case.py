@@ -1,10 +1,9 @@
 """Synthetic scenes of the cost benchmark have exactly the requested sizes."""
 
-import numpy as np
 import pytest
 import torch
 
-from rfpp.benchmark.cost.case import LIGHTS, Case, object_sizes
+from rfpp.benchmark.cost.case import LIGHTS, Case
 from rfpp.errors import UserError
 
 
@@ -19,11 +18,6 @@ def test_scenes_have_the_requested_numbers_of_triangles_and_objects(triangles, o
     assert batch.image.shape == (2, 2, 3, 8, 8)
 
 
-def test_objects_differ_in_size():
-    sizes = object_sizes(25_600, 50, np.random.default_rng(0))
-    assert max(sizes) > 2 * np.median(sizes)
-
-
 def test_only_light_sources_of_one_triangle_emit():
     batch = Case(triangles=500, objects=20, views=1, resolution=8, scenes=1).batch((), seed=0)
     emits = batch.material[:, 7:].sum(1) > 0
@@ -31,14 +25,6 @@ def test_only_light_sources_of_one_triangle_emit():
     owners = batch.objects.index[emits]
     assert len(set(owners.tolist())) == LIGHTS
     assert all(batch.objects.lengths[owner] == 1 for owner in owners)
-
-
-def test_batches_are_finite_with_unit_normals():
-    batch = Case(triangles=3000, objects=10, views=2, resolution=8, scenes=1).batch(("albedo",), seed=0)
-    for values in (batch.positions, batch.normals, batch.material, batch.c2w, batch.gbuffer, batch.image):
-        assert values.isfinite().all()
-    assert (batch.areas > 0).all()
-    torch.testing.assert_close(batch.normals.norm(dim=-1), torch.ones(3000, 3))
 
 
 def test_the_seed_determines_the_batch():

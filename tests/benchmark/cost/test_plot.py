@@ -63,12 +63,6 @@ def test_failures_are_crosses(table):
     assert len(none) == 0
 
 
-def test_too_few_points_have_no_exponent(table, capsys):
-    keep(table, lambda triangles, objects: triangles == 1_600)
-    main([str(table)])
-    assert capsys.readouterr().out.count("too few points") == 2
-
-
 @pytest.mark.parametrize(
     ("content", "message"),
     [(None, "cannot be read"), ("a,b\n1,2\n", "not a table of benchmark=cost"), ("", "not a table of benchmark=cost")],

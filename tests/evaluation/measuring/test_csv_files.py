@@ -2,7 +2,6 @@ import csv
 
 import pytest
 
-from rfpp.errors import UserError
 from rfpp.evaluation.measuring.confidence import split_estimates
 from rfpp.evaluation.measuring.csv_files import write_records, write_rows
 
@@ -39,9 +38,3 @@ def test_the_summary_has_means_intervals_and_the_number_of_scenes(rows) -> None:
 
 def test_a_missing_key_is_an_empty_cell(tmp_path) -> None:
     assert write_rows(tmp_path / "rows.csv", [{"a": 1}, {"b": 0.12345678}]).read_text() == "a,b\n1,\n,0.1234568\n"
-
-
-def test_an_unwritable_folder_is_named(tmp_path) -> None:
-    (tmp_path / "file").write_text("")
-    with pytest.raises(UserError, match=r"rows\.csv"):
-        write_rows(tmp_path / "file" / "rows.csv", [{"a": 1}])

@@ -44,19 +44,6 @@ def test_the_trace_passes_through_the_trained_network(test_split, overrides) -> 
     assert trace["residual"][1 : net.iterations + 1] == pytest.approx(residuals.tolist(), rel=1e-4)
 
 
-def test_the_trace_is_the_mean_over_scenes(test_split) -> None:
-    net = network("experiment=large_scale")
-    one, three = (transport_convergence(net, test_split, CPU, scenes=count) for count in (1, 3))
-    batch = _batch(net, test_split, 2)
-    with torch.no_grad():
-        errors = [
-            log_l1(net(_batch(net, test_split, n)).log_radiance, _batch(net, test_split, n).image) for n in (0, 1)
-        ]
-        errors.append(log_l1(net(batch).log_radiance, batch.image))
-    assert three["log_l1"][net.iterations] == pytest.approx(torch.stack(errors).mean().item(), rel=1e-4)
-    assert one["log_l1"] != three["log_l1"]
-
-
 @pytest.mark.parametrize(("experiment", "scenes"), [("[large_scale,paper/renderformer]", 1), ("large_scale", 0)])
 def test_without_an_operator_or_scenes_there_is_no_trace(test_split, experiment, scenes) -> None:
     assert transport_convergence(network(f"experiment={experiment}"), test_split, CPU, scenes) == {}

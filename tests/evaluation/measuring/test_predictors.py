@@ -1,11 +1,9 @@
 import numpy as np
 import pytest
 import torch
-from networks import checkpoint_info, network
 
 from rfpp.errors import UserError
 from rfpp.evaluation.measuring.predictors import (
-    NetworkPredictor,
     RendererPredictor,
     StoredScene,
     fitted_baselines,
@@ -44,13 +42,6 @@ def test_radiosity_renders_the_stored_triangles_and_cameras(scene) -> None:
     assert images.max() > 0
     assert isinstance(predictor, RendererPredictor)
     torch.testing.assert_close(predictor.predict(scene), images)
-
-
-def test_a_checkpoint_of_a_network_is_a_network() -> None:
-    net = network()
-    predictor = predictor_of(Renderer(net, checkpoint_info()))
-    assert isinstance(predictor, NetworkPredictor)
-    assert predictor.network is net
 
 
 def test_baselines_are_fitted_on_the_training_split(scene, data_root) -> None:

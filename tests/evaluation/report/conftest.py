@@ -32,7 +32,7 @@ def reported(evaluation, bootstrap, tmp_path) -> Callable[..., Path]:
         ]
         definitions = {name: METRICS[name].definition for name in ("log_l1", "psnr")}
         measured = evaluation(means=split_estimates(records, bootstrap), definitions=definitions, **about)
-        pictures = {name: np.full((32, 32, 3), colour, np.uint8) for name, colour in COLOURS.items()}
+        pictures = {name: np.full((32, 32, 3), color, np.uint8) for name, color in COLOURS.items()}
         order = ranking(records[: len(scenes)])
         ranks = pictured_ranks(len(scenes))
         pictured = [PicturedScene(records[order[rank]], rank, len(scenes), pictures) for rank in ranks]

@@ -52,13 +52,6 @@ def test_numbers_are_those_measured(reported):
     assert "<small>0.1000–0.4000</small>" in text
 
 
-def test_the_evaluation_is_described(reported):
-    about = {"method": "RenderFormer++ w/o TCL", "seed": 3, "steps": None, "commit": "c0ffee", "hardware": "a machine"}
-    text, _ = _page(reported(SCENES, **about, data_manifest="0123456789"))
-    for fact in ("RenderFormer++ w/o TCL", "seed 3", "unknown steps", "c0ffee", "a machine", "0123456789"):
-        assert fact in text
-
-
 def test_ablation_and_convergence_are_shown_where_measured(reported):
     measured = {
         "ablation": {"test": {"other_tokens": 0.02, "no_operator": 1.08}},
@@ -85,12 +78,6 @@ def test_a_single_scene_is_best_median_and_worst_and_has_no_interval(reported):
     assert "<small>—</small>" in text
 
 
-def test_infinite_and_undefined_scores_are_shown(reported):
-    _, page = _page(reported({"a": (500, float("nan")), "b": (2000, float("-inf")), "c": (5, 0.1)}))
-    assert str(page.rows["a"]) == "[nan, nan]"
-    assert str(page.rows["b"]) == "[-inf, inf]"
-
-
 def test_nothing_external_is_loaded(reported):
     text, page = _page(reported(SCENES))
     assert not re.search(r"https?://", text)
@@ -112,8 +99,3 @@ def test_hostile_names_are_text(reported):
     assert all(values.get("src", "data:").startswith("data:") for _, values in page.elements)
     assert not [tag for tag, _ in page.elements if tag == "b"]
     assert "{{ 7 * 7 }}" in text
-
-
-def test_a_page_with_many_scenes_stays_small(reported):
-    path = reported({f"scene-{i}": (500 + i, i / 3000) for i in range(3000)})
-    assert path.stat().st_size < 300_000

@@ -8,25 +8,17 @@ from PIL import Image
 
 from rfpp.evaluation.measuring.evaluate import score
 from rfpp.evaluation.measuring.predictors import StoredScene
-from rfpp.evaluation.measuring.records import SceneRecord
 from rfpp.evaluation.report.pictures import (
     MAX_PIXELS,
     EmbeddedPicture,
     pictured_ranks,
     pictured_scenes,
-    ranking,
     save_panel,
 )
 from rfpp.imaging.panels import tone_mapped
 from rfpp.metrics.image import ImageMetrics
 
 CPU = torch.device("cpu")
-
-
-def test_nan_ranks_last() -> None:
-    errors = (0.2, float("nan"), 0.3, 0.1)
-    records = [SceneRecord("test", str(n), 1, 1, 1, "model", [{"log_l1": e}]) for n, e in enumerate(errors)]
-    assert ranking(records) == [3, 0, 2, 1]
 
 
 @pytest.mark.parametrize("scenes", [1, 2, 3, 9, 32, 1000])

@@ -32,18 +32,6 @@ def test_best_is_bold_in_the_direction_of_each_metric(records, bootstrap) -> Non
     assert _bold_numbers(black) == ["35.00"]
 
 
-def test_the_models_margin_and_the_number_of_scenes_are_printed(records, bootstrap) -> None:
-    printed = _terminal_text(split_estimates(records, bootstrap))
-    assert "test, 2 scenes" in printed
-    assert printed.count("±0.1000") == 1  # the interval of the model's log-L1 is [0.2, 0.4]
-
-
-def test_definitions_with_tone_map_and_epsilon_stand_beneath() -> None:
-    printed = _terminal_text({("test", "model"): {"mape": _sure(0.5), "ssim": _sure(0.9)}})
-    assert "0.01" in printed
-    assert "log2(1 + I)" in printed
-
-
 def test_nan_is_shown_and_never_best() -> None:
     means = {("test", "model"): {"l1": _sure(math.nan)}, ("test", "black"): {"l1": _sure(0.2)}}
     printed = _terminal_text(means)

@@ -53,9 +53,9 @@ def test_the_open_side_is_in_front_of_the_panels_as_they_stand_in_the_world(draw
             assert facing == pytest.approx(1, abs=1e-4)
 
 
-def test_the_centre_of_the_scene_is_well_inside_the_open_side(drawn):
-    centre = np.random.default_rng(1).uniform(-0.2, 0.2, (200, 3))
-    assert min(b.open_region.distances(centre).min() for b in drawn) > 0
+def test_the_center_of_the_scene_is_well_inside_the_open_side(drawn):
+    center = np.random.default_rng(1).uniform(-0.2, 0.2, (200, 3))
+    assert min(b.open_region.distances(center).min() for b in drawn) > 0
 
 
 def test_panels_stay_within_their_ranges(drawn):
@@ -71,13 +71,6 @@ def test_panels_stay_within_their_ranges(drawn):
             assert ((scale[~across] >= 0.45) & (scale[~across] <= 0.675)).all()
             low, high = lift if panel == "floor" else (-offset, offset)
             assert low - 1e-9 <= translation @ normal + 0.5 <= high + 1e-9
-
-
-def test_panels_are_displaced_independently(drawn):
-    corners = [b for b in drawn if b.kind == "corner"]
-    rotations = np.array([np.ravel([t.rotation for t in b.transforms]) for b in corners])
-    correlation = np.corrcoef(rotations.T)[~np.eye(9, dtype=bool)]
-    assert np.abs(correlation).max() < 4.5 / np.sqrt(len(corners))
 
 
 def test_wrong_weights_are_refused():

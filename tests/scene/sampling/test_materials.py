@@ -36,7 +36,7 @@ def test_specular_is_a_uniform_share_of_a_sum_near_one(columns):
     assert columns["specular"].max() > 0.95
 
 
-def test_diffuse_colour_is_uniform_below_what_specular_leaves(columns):
+def test_diffuse_color_is_uniform_below_what_specular_leaves(columns):
     share = columns["diffuse"] / (0.95 - np.minimum(columns["specular"], 0.85))[:, None]
     matte = columns["specular"] < 0.5
     for channel in share[matte].T:

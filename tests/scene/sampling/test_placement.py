@@ -5,14 +5,11 @@ import pytest
 from manifold3d import Manifold
 from manifold3d import Mesh as ManifoldMesh
 from scene_families import family, objects, scenes
-from scipy.stats import kstest
 
 from rfpp.errors import SceneError
-from rfpp.scene.sampling.backgrounds import KINDS
 from rfpp.scene.sampling.objects.procedural import ProceduralObjects
 from rfpp.scene.sampling.open_region import OpenRegion
 from rfpp.scene.sampling.placement import UprightPlacement
-from rfpp.scene.sampling.sizes import UniformRadius
 from rfpp.scene.spec import rotation_matrix
 from rfpp.scene.triangles import SceneTriangles
 
@@ -38,7 +35,7 @@ def planes(scene):
 
 
 @pytest.mark.parametrize(
-    ("name", "count"), [("quickstart", 60), ("renderformer", 20), ("small_scale", 12), ("large_scale", 4)]
+    ("name", "count"), [("quickstart", 60), ("renderformer", 6), ("small_scale", 3), ("large_scale", 1)]
 )
 def test_objects_are_in_the_cube_in_front_of_the_panels_with_boxes_apart(name, count):
     for scene in scenes(name, count):
@@ -51,7 +48,7 @@ def test_objects_are_in_the_cube_in_front_of_the_panels_with_boxes_apart(name, c
         assert (apart | apart.T | np.eye(len(vertices), dtype=bool)).all()
 
 
-@pytest.mark.parametrize(("name", "count"), [("quickstart", 10), ("small_scale", 3)])
+@pytest.mark.parametrize(("name", "count"), [("quickstart", 60), ("small_scale", 3)])
 def test_no_two_meshes_intersect(name, count):
     for scene in scenes(name, count):
         solids = []
@@ -75,13 +72,6 @@ def test_resting_objects_touch_the_floor_and_a_quarter_floats():
     assert 1 - resting.mean() == pytest.approx(0.25, abs=0.08)
 
 
-def test_objects_have_the_drawn_sizes_where_there_is_room():
-    sparse = replace(PLACEMENT, sizes=UniformRadius((0.02, 0.05)))
-    rng = np.random.default_rng(0)
-    radii = np.array([t.scale[0] / 2 for _ in range(60) for t in sparse.sample(rng, [PEBBLE] * 10, FLOOR)])
-    assert kstest((radii - 0.02) / 0.03, "uniform").pvalue > 0.01
-
-
 def test_crowds_shrink_until_they_fit():
     grounded = replace(PLACEMENT, floating=0.0)
     transforms = grounded.sample(np.random.default_rng(1), [PEBBLE] * 80, FLOOR)
@@ -94,16 +84,6 @@ def test_where_there_is_no_room_one_line_says_so():
     above_the_cube = OpenRegion(np.array([[0.0, 0.0, 1.0]]), np.array([0.6]))
     with pytest.raises(SceneError, match="found no room"):
         PLACEMENT.sample(np.random.default_rng(0), [PEBBLE], above_the_cube)
-
-
-def test_sizes_do_not_depend_on_the_kind_of_background_in_the_mean():
-    sizes = {panels: [] for panels in map(len, KINDS.values())}
-    for scene in scenes("quickstart", 60):
-        items = objects(scene, "object")
-        expected = 2 * (3 * 0.2 / (4 * np.pi * len(items))) ** (1 / 3)
-        sizes[len(objects(scene, "background"))] += [item.transform.scale[0] / expected for item in items]
-    means = [np.mean(v) for v in sizes.values()]
-    assert max(means) / min(means) < 1.5
 
 
 def test_upright_objects_are_turned_about_the_vertical_alone():

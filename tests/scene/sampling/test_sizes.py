@@ -25,11 +25,6 @@ def test_the_share_is_drawn_once_a_scene_and_uniform():
     assert kstest((fill - 0.1) / 0.2, "uniform").pvalue > 0.01
 
 
-def test_no_object_hides_the_whole_scene():
-    sampler = SharedSpace(fill=(0.25, 0.25), spread=2.0, max_radius=0.35)
-    assert sampler.sample(np.random.default_rng(0), 100).max() == 0.35
-
-
 def test_renderformers_radii_are_its_published_ones_whatever_the_number_of_objects():
     sizes = family("renderformer").placement.sizes
     assert sizes == UniformRadius((0.2, 0.45))

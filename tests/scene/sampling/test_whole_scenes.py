@@ -16,9 +16,9 @@ from rfpp.scene.mesh import Mesh, normalized
 
 #: Family → scenes to draw, its interval of triangles, of objects and of triangles of an object, its share of floating.
 FAMILIES = {
-    "renderformer": (240, (500, 4096), (1, 3), (200, 1188), 0.25),
-    "small_scale": (240, (3000, 10000), (5, 70), (200, 1200), 0.6),
-    "large_scale": (120, (10000, 80000), (5, 70), (200, 1200), 0.6),
+    "renderformer": (150, (500, 4096), (1, 3), (200, 1188), 0.25),
+    "small_scale": (120, (3000, 10000), (5, 70), (200, 1200), 0.6),
+    "large_scale": (60, (10000, 80000), (5, 70), (200, 1200), 0.6),
 }
 
 
@@ -88,14 +88,6 @@ def test_the_number_of_objects_is_uniform_over_what_the_total_allows(name):
     assert kstest(position, "uniform").pvalue > 0.01
 
 
-def test_small_and_large_scenes_have_as_many_objects_as_the_paper_says():
-    counts = {name: [len(objects(scene, "object")) for scene in drawn(name)] for name in ("small_scale", "large_scale")}
-    assert min(counts["small_scale"]) <= 6
-    assert 35 < max(counts["small_scale"]) <= 49  # 70 objects of 200 triangles would be more than 10K
-    assert min(counts["large_scale"]) < 20
-    assert max(counts["large_scale"]) >= 69
-
-
 @each_family
 def test_one_to_eight_lights_and_all_four_backgrounds_equally_often(name):
     lights = np.bincount([len(objects(scene, "light")) for scene in drawn(name)], minlength=9)
@@ -112,19 +104,7 @@ def test_one_to_eight_lights_and_all_four_backgrounds_equally_often(name):
 
 
 @each_family
-def test_no_two_objects_of_a_scene_share_a_draw(name):
-    for scene in drawn(name)[:40]:
-        solids = [item for item in scene.objects if not item.name.startswith("light")]
-        assert len({item.material.roughness for item in solids}) == len(solids)
-        assert len({item.material.diffuse for item in solids}) == len(solids)
-        assert len({item.transform.rotation for item in scene.objects}) == len(scene.objects)
-        assert len({item.transform.translation for item in scene.objects}) == len(scene.objects)
-    first = {scene.objects[0].material.roughness for scene in drawn(name)}
-    assert len(first) == len(drawn(name))
-
-
-@each_family
-def test_neighbours_in_the_list_of_objects_are_independent(name):
+def test_neighbors_in_the_list_of_objects_are_independent(name):
     rows = []
     for scene in drawn(name):
         for a, b in list(pairwise(objects(scene, "object")))[:4]:
@@ -192,15 +172,3 @@ def world_vertices(item, vertices):
         turned[:, i], turned[:, j] = c * vertices[:, i] - s * vertices[:, j], s * vertices[:, i] + c * vertices[:, j]
         vertices = turned
     return vertices * item.transform.scale + item.transform.translation
-
-
-@pytest.mark.parametrize("name", ["small_scale", "large_scale"])
-def test_crowded_scenes_keep_most_of_their_drawn_sizes(name):
-    """Objects shrink where there is no room: not so far that a scene is mostly specks."""
-    ratios = []
-    for scene in drawn(name):
-        scales = np.array([item.transform.scale[0] for item in objects(scene, "object")])
-        ratios.append(scales / (2 * (3 * 0.2 / (4 * np.pi * len(scales))) ** (1 / 3)))
-    ratios = np.concatenate(ratios)
-    assert np.median(ratios) > 0.7
-    assert np.mean(ratios < 0.25) < 0.05

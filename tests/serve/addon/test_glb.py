@@ -1,11 +1,9 @@
 """GLB files of the add-on, read by our reader."""
 
-import io
 from pathlib import Path
 
 import numpy as np
 from addon_modules import addon
-from PIL import Image
 
 from rfpp.scene.io.gltf import received_glb
 from rfpp.scene.io.gltf_file import GltfFile
@@ -37,8 +35,3 @@ def test_lengths_and_buffers_are_sound():
     content = file.content()
     assert len(content) % 4 == 0 and int.from_bytes(content[8:12], "little") == len(content)
     GltfFile.received(content).require_sound_buffers()
-
-
-def test_textures_are_png():
-    pixels = np.random.default_rng(0).integers(0, 256, (5, 7, 4), np.uint8)
-    np.testing.assert_array_equal(np.asarray(Image.open(io.BytesIO(glb.png(pixels)))), pixels)

@@ -78,7 +78,6 @@ def test_the_picture_equals_that_of_blenders_gltf_export(server, blender, tmp_pa
     [exported] = Renderer.load("radiosity", "cpu").render(scene, (64, 96))
     assert sent.shape == (64, 96, 4) and (sent[..., 3] == 1).all()
     assert exported.mean() > 0.05
-    print(f"difference {difference(sent[..., :3], exported):.5f}")
     assert difference(sent[..., :3], exported) < 0.01
 
 
@@ -135,7 +134,6 @@ def test_disabling_the_add_on_leaves_nothing(server, blender):
 def test_pictures_are_as_bright_as_in_cycles(server, blender, tmp_path):
     blender(server, "render_beside_cycles", tmp_path / "rfpp.exr", tmp_path / "cycles.exr")
     ours, theirs = (radiance(tmp_path / f"{name}.exr")[..., :3] for name in ("rfpp", "cycles"))
-    print(f"of Cycles: {ours.mean() / theirs.mean():.3f}, difference {difference(ours, theirs):.3f}")
     np.testing.assert_allclose(ours.mean(axis=(0, 1)), theirs.mean(axis=(0, 1)), rtol=0.15)
 
 

@@ -26,13 +26,3 @@ def test_parts_start_at_the_bottom():
     whole = (-0.5, 0.5, -0.25, 0.25)
     np.testing.assert_allclose(windows.part_of(whole, (50, 100), (25, 0, 50, 25)), (-0.25, 0.25, -0.25, 0.0))
     np.testing.assert_allclose(windows.part_of(whole, (50, 100), (0, 0, 100, 50)), whole)
-
-
-def test_square_pixels_keep_the_center():
-    np.testing.assert_allclose(windows.square_pixels((-0.5, 0.5, 0.0, 0.2), (50, 100)), (-0.5, 0.5, -0.15, 0.35))
-
-
-def test_pictures_shrink_and_never_grow():
-    assert windows.shrunk((540, 960), 96) == (54, 96)
-    assert windows.shrunk((54, 96), 1000) == (54, 96)
-    assert windows.shrunk((1, 1000), 10) == (1, 10)

@@ -19,7 +19,3 @@ def test_the_first_rank_writes_steps_and_loss(capsys, rank):
     callback.on_train_end(trainer, module)
     output = capsys.readouterr().out
     assert ("steps 10 of 30" in output and "left, loss 0.1000" in output) == (rank == 0)
-
-
-def test_an_error_before_training_is_not_hidden_by_another():
-    TrainingProgress().on_exception(StillTrainer(), RecordingModule(), ValueError())

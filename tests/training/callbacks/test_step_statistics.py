@@ -59,10 +59,6 @@ def test_rates_of_a_window_exclude_the_time_of_counting_operations(clock):
     })  # fmt: skip
 
 
-def test_nothing_is_logged_before_a_window_is_complete(clock):
-    assert train(clock, StepStatistics(every_n_steps=4), trainer_with(), 3) == {}
-
-
 def test_accumulated_batches_are_one_step_and_devices_add_up(clock):
     trainer = trainer_with(accumulate_grad_batches=2, world_size=3)
     values = train(clock, StepStatistics(every_n_steps=2), trainer, 4)

@@ -65,12 +65,6 @@ def test_nothing_else_is_registered(tmp_path, best, reason):
     assert calls_at_the_end(tmp_path, path, None if reason == "no name" else "rfpp-test", **attributes) == []
 
 
-def test_the_logger_is_flushed_before_a_checkpoint(tmp_path):
-    logger = Logger(tmp_path)
-    TrackedRun(None).on_save_checkpoint(StillTrainer(loggers=[logger]), RecordingModule(), {})
-    assert logger.calls == ["sync"]
-
-
 @pytest.mark.parametrize(
     ("error", "calls"), [(StoppedError("stopped", signal.SIGTERM), ["mark_stopped"]), (ValueError(), [])]
 )

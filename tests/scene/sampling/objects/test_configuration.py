@@ -64,15 +64,3 @@ def test_scenes_of_a_folder_keep_test_meshes_for_test_scenes(tmp_path):
             for item in objects(scene, "object"):
                 assert is_closed(item.mesh)
                 assert 50 <= len(item.mesh) <= 300
-
-
-@pytest.mark.parametrize("name", FAMILIES)
-def test_held_out_scenes_differ_from_training_scenes_in_their_objects_alone(name):
-    training, test = draw(family(name), 3, 4), draw(family(name), 3, 4, held_out=True)
-    assert training.cameras == test.cameras
-    assert len(training.objects) == len(test.objects)
-    for a, b in zip(training.objects, test.objects, strict=True):
-        assert a.material == b.material
-        assert len(a.mesh) == len(b.mesh)
-        same = a.mesh.vertices.shape == b.mesh.vertices.shape and np.array_equal(a.mesh.vertices, b.mesh.vertices)
-        assert same != a.name.startswith("object_")

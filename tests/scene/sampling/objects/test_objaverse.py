@@ -1,5 +1,3 @@
-import builtins
-import json
 import sys
 import types
 import urllib.error
@@ -9,7 +7,7 @@ import pytest
 import trimesh
 from mesh_folders import prepared
 
-from rfpp.errors import MissingDependencyError, SceneError, UserError
+from rfpp.errors import SceneError, UserError
 from rfpp.scene.sampling.objects.objaverse import ObjaverseObjects
 from rfpp.scene.sampling.objects.object_source import ObjectSource
 from rfpp.scene.sampling.objects.preparation import Preparation
@@ -82,11 +80,6 @@ def test_a_longer_list_downloads_only_new_uids(tmp_path, hub):
     assert hub.calls == []
 
 
-def test_a_json_list_is_the_same_list(tmp_path, hub):
-    text, listed = source(tmp_path), source(tmp_path, json.dumps(UIDS[::-1]), "chairs.json")
-    assert text.settings() == listed.settings()
-
-
 def test_a_network_failure_is_one_line_and_loses_nothing(tmp_path, hub):
     prepared(source(tmp_path, "\n".join(UIDS[:2])))
     hub.connected = False
@@ -97,20 +90,6 @@ def test_a_network_failure_is_one_line_and_loses_nothing(tmp_path, hub):
     hub.calls.clear()
     prepared(objects)
     assert hub.calls[0] == UIDS[2:]
-
-
-def test_a_missing_package_is_named(tmp_path, monkeypatch):
-    real = builtins.__import__
-
-    def missing(name, *args, **kwargs):
-        if name == "objaverse":
-            raise ImportError(name)
-        return real(name, *args, **kwargs)
-
-    monkeypatch.delitem(sys.modules, "objaverse", raising=False)
-    monkeypatch.setattr(builtins, "__import__", missing)
-    with pytest.raises(MissingDependencyError, match=r"pip install -e '\.\[objaverse\]'"):
-        prepared(source(tmp_path))
 
 
 @pytest.mark.parametrize(

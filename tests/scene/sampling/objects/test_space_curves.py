@@ -20,15 +20,7 @@ def test_frames_are_right_handed_and_turn_smoothly(draw, closed):
         assert cosine.min() > 0.5  # also where a closed curve's ends meet
 
 
-def test_a_circle_leaves_room_for_its_radius_and_a_straight_line_for_any():
-    angle = np.arange(90) * 2 * np.pi / 90
-    circle = Curve(np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1), closed=True)
-    assert circle.free_radius() == pytest.approx(0.6)  # 0.3 of its extent: the rest would be no ring any more
-    line = Curve(np.linspace(0, 5, 50)[:, None] * [1, 0, 0], closed=False)
-    assert line.free_radius() == pytest.approx(1.5)
-
-
-def test_neighbouring_turns_of_a_spring_limit_its_thickness():
+def test_neighboring_turns_of_a_spring_limit_its_thickness():
     angle = np.linspace(0, 8 * np.pi, 120)
     helix = Curve(np.stack([np.cos(angle), np.sin(angle), 0.05 * angle], axis=1), closed=False)
     assert helix.free_radius() == pytest.approx(0.05 * np.pi, rel=0.05)
