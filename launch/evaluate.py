@@ -17,7 +17,7 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
 
-from rfpp.commands import entry_point
+from rfpp.commands import entry_point, write_config
 from rfpp.errors import UserError
 from rfpp.evaluation.measuring.confidence import Bootstrap, split_estimates
 from rfpp.evaluation.measuring.csv_files import write_records
@@ -36,7 +36,6 @@ from rfpp.metrics.image import ImageMetrics
 from rfpp.metrics.lpips import LPIPS, load_trunk
 from rfpp.progress import progress_bars
 from rfpp.shards.dataset import ShardSplit
-from rfpp.training.config_file import write_config
 from rfpp.training.tracking.registry import checkpoint_file
 
 

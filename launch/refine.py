@@ -22,11 +22,10 @@ from torch.utils.data import DataLoader, RandomSampler
 
 from rfpp import Renderer
 from rfpp.checkpoint.loading import CheckpointInfo
-from rfpp.commands import entry_point
+from rfpp.commands import entry_point, write_config
 from rfpp.progress import counting
 from rfpp.shards.dataset import ShardSplit
 from rfpp.training.callbacks.progress import TrainingProgress
-from rfpp.training.config_file import write_config
 from rfpp.training.plan import choose_precision
 from rfpp.training.refining import AugmentedViews, RefinementModule, render_views
 from rfpp.training.tracking import code_version

@@ -15,7 +15,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
 from rich.table import Table
@@ -26,7 +25,7 @@ from rfpp.errors import UserError
 from rfpp.files import as_file_name
 from rfpp.imaging.decoding import read_radiance
 from rfpp.imaging.panels import error_map, panel, save_picture
-from rfpp.imaging.tone_maps import ToneMap
+from rfpp.imaging.tone_maps import ToneMap, tone_map_of
 from rfpp.inference.motion.frames import with_cameras
 from rfpp.inference.relighting import Images, SolvedLights, solve_lights, with_factors
 from rfpp.inference.stills import write_still
@@ -67,7 +66,7 @@ def main(cfg: DictConfig) -> Path:
         console.print(f"warning: '{name}' is invisible in the target: it keeps its values")
     for one, other in solved.alike:
         console.print(f"warning: '{one}' and '{other}' have the same effect on the target: only their sum is known")
-    stem, tone_map, folder = as_file_name(path.stem), instantiate(cfg.tone_map, stops=cfg.exposure), Path(cfg.output)
+    stem, tone_map, folder = as_file_name(path.stem), tone_map_of(cfg.tone_map, cfg.exposure), Path(cfg.output)
     for view, image in enumerate(solved.images):
         write_still(image, folder / f"{stem}_relit_{view}.exr", tone_map)
     sheet = save_picture(_sheet(sum(layers.values()), target, solved, tone_map), folder / f"{stem}_relit.png")

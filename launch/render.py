@@ -23,9 +23,9 @@ from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
 
 from rfpp import Renderer
-from rfpp.commands import CONFIG_DIR, entry_point, settings
+from rfpp.commands import CONFIG_DIR, entry_point, settings, write_config
 from rfpp.errors import UserError
-from rfpp.imaging.tone_maps import ToneMap
+from rfpp.imaging.tone_maps import ToneMap, tone_map_of
 from rfpp.inference.animation import Animation
 from rfpp.inference.gbuffers import GBufferSource
 from rfpp.inference.motion.frames import Frames, with_cameras
@@ -44,7 +44,6 @@ from rfpp.metrics.flip import flip_library
 from rfpp.progress import counting
 from rfpp.reference.cycles import CyclesSettings, require_blender
 from rfpp.scene.packed import PackedScene
-from rfpp.training.config_file import write_config
 from rfpp.training.tracking.registry import checkpoint_file
 
 
@@ -55,7 +54,7 @@ def main(cfg: DictConfig) -> list[Path]:
         key = max(missing)  # the scene before others
         raise UserError(f"{key} is missing: add {key}=… to the command line")
     chosen = RenderSettings.parse(OmegaConf.to_container(cfg, resolve=True))
-    tone_map = instantiate(cfg.tone_map, stops=chosen.exposure)
+    tone_map = tone_map_of(cfg.tone_map, chosen.exposure)
     motion, cycles = instantiate(cfg.get("motion")), cycles_settings(chosen, cfg.against)
     if motion:
         if cfg.against:

@@ -25,12 +25,11 @@ from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
 
 from rfpp.checkpoint.loading import CheckpointInfo, load_initial_weights
-from rfpp.commands import entry_point
+from rfpp.commands import entry_point, write_config
 from rfpp.metrics.image import ImageMetrics
 from rfpp.training.blocks import compile_blocks
 from rfpp.training.callbacks.finite_gradients import NonFiniteGradientError
 from rfpp.training.checkpoint_files import checkpoint_to_resume, point_at
-from rfpp.training.config_file import write_config
 from rfpp.training.module import RenderingModule
 from rfpp.training.plan import PLAN_KEY, plan_training
 from rfpp.training.run import locked, shared_with_ranks, trainer_plugins
@@ -64,7 +63,7 @@ def main(cfg: DictConfig) -> Path | None:
     if checkpointing := instantiate(cfg.get("activation_checkpointing")):
         checkpointing(network)
     datamodule = instantiate(cfg.datamodule, gbuffer_channels=network.gbuffer_channels, _convert_="all")
-    plan = plan_training(cfg.trainer, datamodule.accumulation, resumed)
+    plan = plan_training(cfg.trainer, datamodule.batching.accumulation, resumed)
     config = OmegaConf.to_container(cfg, resolve=True) | {PLAN_KEY: asdict(plan)}
     logger = instantiate(cfg.logger)
     info = CheckpointInfo(

@@ -13,16 +13,15 @@ import rfpp.interrupts  # noqa: F401 (first, because the imports below take seco
 
 # isort: split
 import threading
-from collections.abc import Callable
 from pathlib import Path
 
 from hydra.utils import instantiate
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig
 from rich.console import Console
 
 from rfpp import Renderer
-from rfpp.commands import CONFIG_DIR, entry_point, settings
-from rfpp.imaging.tone_maps import ToneMap
+from rfpp.commands import entry_point, settings
+from rfpp.imaging.tone_maps import TONE_MAPS
 from rfpp.scene.io.loading import load_scene
 from rfpp.training.tracking.registry import checkpoint_file
 
@@ -37,7 +36,7 @@ def main(cfg: DictConfig) -> None:
     viewer = Viewer(
         renderer,
         load_scene(cfg.scene),
-        tone_maps(),
+        TONE_MAPS,
         instantiate(settings("reference", "reference_settings", cfg.reference_settings)),
         host=cfg.host,
         port=cfg.port,
@@ -51,12 +50,6 @@ def main(cfg: DictConfig) -> None:
             threading.Event().wait()
         except KeyboardInterrupt:
             console.print("Closed.")
-
-
-def tone_maps() -> dict[str, Callable[..., ToneMap]]:
-    """Return the tone maps of conf/render/tone_map by name, sRGB first."""
-    files = sorted((CONFIG_DIR / "render" / "tone_map").glob("*.yaml"), key=lambda file: file.stem != "srgb")
-    return {file.stem: instantiate(OmegaConf.load(file), _partial_=True) for file in files}
 
 
 if __name__ == "__main__":

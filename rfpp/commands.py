@@ -7,7 +7,7 @@ import functools
 import os
 import sys
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NoReturn, TypeVar
 
@@ -19,6 +19,7 @@ import rfpp.interrupts  # noqa: F401 (one-line messages for Ctrl-C and missing e
 from rfpp.allocator import keep_freed_memory
 from rfpp.errors import UserError
 from rfpp.extras import missing_extra
+from rfpp.files import write_atomically
 from rfpp.folders import carried
 
 Result = TypeVar("Result")
@@ -123,3 +124,8 @@ def settings(group: str, key: str, name: str) -> DictConfig:
     chosen = OmegaConf.load(files[name])
     parents = [parent for parent in chosen.pop("defaults", ["_self_"]) if parent != "_self_"]
     return OmegaConf.merge(*(settings(group, key, parent) for parent in parents), chosen)
+
+
+def write_config(cfg: Mapping[str, Any], folder: Path, name: str = "config.yaml") -> Path:
+    """Write a configuration with all values resolved beside a command's output, atomically; return its path."""
+    return write_atomically(folder / name, OmegaConf.to_yaml(cfg, resolve=True).encode())

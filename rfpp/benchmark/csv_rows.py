@@ -17,11 +17,6 @@ Result = TypeVar("Result", Path, str)
 def read_rows(path: Path, benchmark: str, columns: Set[str]) -> list[dict[str, str]]:
     """Read the table of a benchmark.
 
-    Args:
-        path: CSV file that launch/benchmark.py has written.
-        benchmark: Name of the benchmark, for messages.
-        columns: Columns that the table must have.
-
     Raises:
         UserError: If the file cannot be read, is empty or lacks a column.
     """
@@ -39,14 +34,7 @@ def read_rows(path: Path, benchmark: str, columns: Set[str]) -> list[dict[str, s
 def command(
     benchmark: str, description: str | None, convert: Callable[[Path], Result], arguments: Sequence[str] | None
 ) -> Result:
-    """Run a command that converts a benchmark's table and prints the result; errors are one line.
-
-    Args:
-        benchmark: Name of the benchmark, for the help.
-        description: Text of the help, the module's docstring.
-        convert: Function from the CSV file to the result.
-        arguments: Command line; None for that of the process.
-    """
+    """Run a command that converts a benchmark's table and prints the result; errors are one line."""
     parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("csv", type=Path, help=f"table written by launch/benchmark.py benchmark={benchmark} output=…")
     try:

@@ -44,17 +44,7 @@ def measure(
     of another view (`view_s`) and of the scene with one light source dimmed (`edit_s`).
 
     Args:
-        checkpoint: Name or path that `Renderer.load` accepts.
-        exhibits: Title → scene.
-        resolution: Pixels along both sides.
-        samplings: Sampling settings of `Renderer.render`, one method each.
-        samples: Sample counts of Cycles, one method each.
-        rounds: Number of rounds.
-        cycles: Settings of Cycles, except the samples.
-        converged: Settings of the references.
         animation: `frames` on an arc around each scene, their `resolution`, and `samples` of the references; or None.
-        cache: Folder of references, which are rendered once.
-        progress: Called with (turns taken, all turns).
     """
     scenes = list(exhibits.values())
     references = [_reference(scene, resolution, converged, Path(cache))[0] for scene in scenes]

@@ -27,16 +27,6 @@ def measure(
 
     All methods are warm, have not rendered the scene before, and run alone. The renderer's time includes ray casting;
     the time of Cycles includes building the scene.
-
-    Args:
-        checkpoint: Name or path that `Renderer.load` accepts.
-        exhibits: Title → scene.
-        resolution: Pixels along both sides.
-        reference: Settings of the reference, without a denoiser: its errors would be shared by the compared images.
-        cycles: Settings of the compared Cycles images, except the samples.
-        samples: Sample counts from which `affordable` chooses.
-        picture: PNG or JPEG file to write.
-        progress: Called with (images rendered, all images).
     """
     name = Path(checkpoint).name
     scenes = [[scene] for scene in exhibits.values()]
@@ -81,10 +71,5 @@ def measure(
 
 
 def affordable(seconds: Mapping[int, float], limit: float) -> int:
-    """Return the largest sample count that takes at most `limit` seconds, else the smallest one.
-
-    Args:
-        seconds: Sample count → seconds.
-        limit: Time limit in seconds.
-    """
+    """Return the largest sample count that takes at most `limit` seconds, else the smallest one."""
     return max((samples for samples, took in seconds.items() if took <= limit), default=min(seconds))

@@ -25,12 +25,7 @@ from rfpp.scene.packed import PackedScene
 
 @dataclass(frozen=True)
 class ByRenderer:
-    """Rendering with a renderer of this project.
-
-    Attributes:
-        checkpoint: Name or path that `Renderer.load` accepts.
-        sampling: Sampling settings of `Renderer.render`.
-    """
+    """Rendering with a renderer of this project."""
 
     checkpoint: str
     sampling: Mapping[str, int]
@@ -50,11 +45,7 @@ class ByRenderer:
 
 @dataclass(frozen=True)
 class ByCycles:
-    """Rendering with Cycles in one process, which has no caches.
-
-    Attributes:
-        settings: Settings of the path tracer.
-    """
+    """Rendering with Cycles in one process, which has no caches."""
 
     settings: CyclesSettings
 

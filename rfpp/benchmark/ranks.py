@@ -25,7 +25,7 @@ from rfpp.losses.rendering import RenderingLoss
 from rfpp.model.renderformer_pp import RenderFormerPP
 from rfpp.scene.packed import pack
 from rfpp.shards.job import SceneSource
-from rfpp.training.partition import Contiguous, Partition
+from rfpp.training.batching import Contiguous, Partition
 
 RANKS = 2
 #: Steps on different scenes that are timed together.
@@ -34,15 +34,7 @@ STEPS = 2
 
 @dataclass(frozen=True)
 class TrainingCase:
-    """Experiment without its data set.
-
-    Attributes:
-        network, loss, optimizer: Functions that create them; the last takes parameters.
-        family: Family of the scenes.
-        resolution, views: Resolution and number of a scene's images.
-        scenes_per_step: Scenes in a global batch.
-        scenes_at_once: Scenes that a device holds; None for its whole share.
-    """
+    """Experiment without its data set."""
 
     network: Callable[[], RenderFormerPP]
     loss: Callable[[], RenderingLoss]

@@ -30,15 +30,6 @@ def measure(
 
     The last row of each family renders the converged image with another seed; smaller errors are noise. Errors are
     relative L1 (Σ|x - y| / Σy), MAPE and log-L1 of `rfpp.metrics.image`; brightness is Σx / Σy.
-
-    Args:
-        families: Name → family.
-        settings: Name → preset.
-        converged: Settings of the converged images, undenoised and of many samples.
-        scenes: Scenes of each family, of which the first view is rendered.
-        resolution: Pixels along both sides.
-        seed: Seed of the scenes.
-        progress: Called with (images rendered, all images).
     """
     compared = {**settings, "converged, other seed": replace(converged, seed=converged.seed + 1)}
     done, total = 0, len(families) * (1 + len(compared)) * scenes

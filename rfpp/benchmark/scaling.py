@@ -14,8 +14,8 @@ from rfpp.batch import RaggedBatch, SceneViews
 from rfpp.benchmark.csv_rows import Row
 from rfpp.benchmark.ranks import Timings, TrainingCase, time_ranks
 from rfpp.benchmark.step_time import Cluster, Work, step_time
+from rfpp.training.batching import Partition
 from rfpp.training.flops import training_flops
-from rfpp.training.partition import Partition
 
 #: Scenes whose operations are counted; those of the others are linear in the number of triangles.
 COUNTED = 3
@@ -36,16 +36,6 @@ def measure(
     On this machine, three times are measured: of a step without communication on half and on a whole global batch
     while both cores are busy, and of averaging the gradients alone. The model predicts the time of a step of two
     processes from these; that time is measured, too.
-
-    Args:
-        checked: Overrides of launch/train.py for training that is small enough to be timed here.
-        predicted: Overrides for training on the clusters, with its global batch and with one that grows with them.
-        sample: Number of scenes that represent the family; at least two global batches of `checked`.
-        partitions: Name → distribution of a global batch over devices.
-        clusters: Name → cluster.
-        devices: Numbers of devices.
-        rounds: Rounds of timing; medians are used.
-        progress: Called with (rounds done, all rounds).
     """
     training = TrainingCase.compose(checked)
     scenes = training.scenes(sample)

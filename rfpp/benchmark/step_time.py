@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from rfpp.training.partition import Partition
+from rfpp.training.batching import Partition
 
 #: Share of the backward pass, which produces the gradients, in forward and backward.
 BACKWARD_SHARE = 2 / 3

@@ -6,15 +6,25 @@ import tempfile
 import time
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from statistics import median
 
 import lightning as L
+import numpy as np
 import psutil
+from jaxtyping import Float
+from scipy.ndimage import gaussian_filter
 
 from rfpp.benchmark.csv_rows import Row
-from rfpp.benchmark.synthetic_data import SyntheticData
+from rfpp.raycast.first_hit import camera_caster, channel, first_hit
+from rfpp.reference.cycles import CyclesSettings
+from rfpp.reference.farm import RenderFarm
+from rfpp.scene.triangles import SceneTriangles
+from rfpp.shards.generation import generate
+from rfpp.shards.job import DatasetSettings, SceneSource
 from rfpp.shards.manifest import Manifest
+from rfpp.shards.recipe import Recipe
 from rfpp.training.datamodule import SceneDataModule
 from rfpp.training.source import DataSource
 
@@ -26,6 +36,8 @@ _PREFETCHED = 2
 
 #: Wall and CPU seconds, the latter with those of child processes.
 Seconds = tuple[float, float]
+#: Standard deviation of log radiance: noise that remains after denoising.
+_NOISE = 0.01
 
 
 def measure(
@@ -41,15 +53,6 @@ def measure(
 
     The files are in the page cache, so the disk is not measured; starting loader processes is not counted. On a busy
     machine, CPU time per scene is more reliable than scenes per second.
-
-    Args:
-        data: Name → data set to write into a temporary folder, or the folder of an existing one.
-        source: Function from `root` to the stored scenes.
-        datamodule: Function from (source, workers) to the data module.
-        workers: Numbers of loader processes.
-        batches: Batches per measurement.
-        rounds: Number of rounds.
-        progress: Called with (measurements done, all measurements).
     """
     done, total = 0, len(data) * rounds * len(workers)
     for name, origin in data.items():
@@ -118,3 +121,36 @@ def _now() -> Seconds:
 def _since(begin: Seconds) -> Seconds:
     wall, cpu = _now()
     return wall - begin[0], cpu - begin[1]
+
+
+@dataclass(frozen=True)
+class SyntheticData:
+    """First training scenes of a family, with synthetic images."""
+
+    family: SceneSource
+    data: DatasetSettings
+    reference: CyclesSettings
+    farm: RenderFarm
+    scenes: int
+
+    def write(self, folder: Path, progress: Callable[[int, int], None]) -> None:
+        """Write the data set into a folder."""
+        data = replace(self.data, name="synthetic", root=str(folder), splits={"train": self.scenes})
+        recipe = Recipe.of_scenes(self.family, self.reference, data, {}, synthetic_images)
+        with self.farm as farm:
+            generate(recipe, farm, progress)
+
+
+def synthetic_images(
+    triangles: SceneTriangles, c2w: np.ndarray, fov: np.ndarray, height: int, width: int, settings: CyclesSettings
+) -> Float[np.ndarray, "v height width 3"]:
+    """Return albedo times headlight and smooth indirect light, with noise; same signature as `cycles.render`."""
+    rng, caster = np.random.default_rng(settings.seed), camera_caster(triangles)
+    images = []
+    for pose, angle in zip(c2w, fov, strict=True):
+        hit = first_hit(triangles, pose, angle, height, width, caster)
+        albedo = channel(hit, triangles.material, angle, "albedo")
+        headlight = albedo * np.maximum(hit.normal[..., 2:], 0)
+        light = headlight + albedo * gaussian_filter(headlight, (height / 16, width / 16, 0))
+        images.append(light * np.exp(rng.normal(0, _NOISE, light.shape)))
+    return np.stack(images).astype(np.float32)

@@ -42,13 +42,9 @@ class CheckpointInfo:
         model: nested `_target_` config of the network, all values plain.
         resolution: (height, width) the network was trained at.
         data_manifest: hash of the data set's manifest.
-        dataset: its name.
         method: the network's name in tables of results, e.g. "RenderFormer++".
-        seed: of weights, data order, views and augmentation.
-        steps: optimizer steps it was trained for, if known.
         commit: code version, or None outside a repository.
         mlflow_run_id, mlflow_tracking_uri: the run it belongs to, or None.
-        schema_version: of this record.
     """
 
     __pydantic_config__ = ConfigDict(extra="forbid")

@@ -54,11 +54,7 @@ def model_card(
     """Return Markdown with the front matter that the Hugging Face hub reads.
 
     Args:
-        info: Description of the model.
-        parameters: Number of learned parameters.
-        folder: Name of the model's folder.
         metrics: Row → metric → number from an evaluation; may be empty.
-        notes: Markdown at the end of the card.
     """
     height, width = info.resolution
     unknown = "unknown"

@@ -26,14 +26,6 @@ EXAMPLE = "example: python -m rfpp.evaluation.publish data/runs/quickstart/lates
 def publish(run: Path, folder: Path, notes: str = "") -> Path:
     """Write a model folder.
 
-    Args:
-        run: Folder of an evaluated training or refinement.
-        folder: Folder to write.
-        notes: Markdown for the card, e.g. known limits.
-
-    Returns:
-        The model folder.
-
     Raises:
         CheckpointError: If the run has no checkpoint that loads.
         UserError: If there is no evaluation, one belongs to another checkpoint, or the folder cannot be written.

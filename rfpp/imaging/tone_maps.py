@@ -1,4 +1,4 @@
-"""Tone maps: linear radiance → an 8-bit picture. Variants are classes, named in conf/render/tone_map/*.yaml.
+"""Tone maps: linear radiance → an 8-bit picture. Variants are classes.
 
 The exposure is an argument and never measured in the image, so that animations do not flicker and pictures of one
 scene are comparable. A white surface under irradiance π has radiance 1.
@@ -13,6 +13,7 @@ import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
+from rfpp.errors import UserError
 from rfpp.imaging.radiance import exposed, perceptual, srgb, to_8bit
 
 #: White in every tone map, and finite.
@@ -88,3 +89,14 @@ class AgX(ToneMap):
             return 0.5 + self._SLOPE * distance * (1 + bend).pow(-1 / power)
 
         return torch.where(distance < 0, half(self._TOE, gray), half(self._SHOULDER, 1 - gray))
+
+
+#: Tone maps by name on the command line; the first is the default.
+TONE_MAPS: dict[str, type[ToneMap]] = {"srgb": SRGB, "perceptual": Perceptual, "agx": AgX}
+
+
+def tone_map_of(name: str, stops: float | int) -> ToneMap:
+    """Return the tone map with this name. Raises UserError listing the available names."""
+    if name not in TONE_MAPS:
+        raise UserError(f"tone_map={name} does not exist: choose from {', '.join(TONE_MAPS)}")
+    return TONE_MAPS[name](stops)

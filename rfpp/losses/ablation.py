@@ -23,12 +23,7 @@ NO_OPERATOR = "no_operator"
 
 @dataclass(frozen=True)
 class TokenFeatures:
-    """Token features of one batch, as replacements for those of another.
-
-    Attributes:
-        tokens: Features before transport, [N, D].
-        encoded: Features after transport, [N, D].
-    """
+    """Token features of one batch, as replacements for those of another."""
 
     tokens: Float[Tensor, "n width"]
     encoded: Float[Tensor, "n width"]
@@ -44,8 +39,6 @@ def ablated(network: RenderFormerPP, batch: RaggedBatch, other: TokenFeatures) -
     """Render a batch once per ablation.
 
     Args:
-        network: Network in evaluation mode.
-        batch: Scenes to render.
         other: Token features of other scenes. They are repeated where there are too few.
 
     Returns:
@@ -79,8 +72,6 @@ class AblationErrors:
         """Add one batch.
 
         Args:
-            network: Network in evaluation mode.
-            batch: Scenes with images.
             log_radiance: log10(1 + radiance) of the unmodified network.
         """
         assert batch.image is not None

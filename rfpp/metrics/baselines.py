@@ -18,11 +18,7 @@ CHANNELS = ("albedo", "specular", "direct_diffuse", "direct_glossy", "reflected_
 
 
 class Baseline(ABC):
-    """A predictor that reads G-buffer channels.
-
-    Attributes:
-        name: Name in tables.
-    """
+    """A predictor that reads G-buffer channels."""
 
     name: str
 

@@ -17,14 +17,10 @@ _UNGUIDED = {"startExposure": -1.0, "stopExposure": 1.0, "numExposures": 3}
 
 
 def flip(prediction: Float[np.ndarray, "h w 3"], reference: Float[np.ndarray, "h w 3"]) -> Float[np.ndarray, "h w"]:
-    """Compute the error of each pixel, from 0 (invisible) to 1; the image's ꟻLIP is their mean.
+    """Compute the error of each pixel of linear radiance, from 0 (invisible) to 1; the image's ꟻLIP is their mean.
 
     Andersson et al. 2021, by their package `flip-evaluator`: the largest ꟻLIP over a range of exposures (ACES tone
     map) derived from the reference's luminance, at 67 pixels per degree. A non-finite pixel has error 1.
-
-    Args:
-        prediction: Linear radiance.
-        reference: Linear radiance.
 
     Raises:
         MissingDependencyError: If the library is not installed.

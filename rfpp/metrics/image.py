@@ -32,14 +32,7 @@ Function = Callable[[Images, Images], PerImage]
 
 @dataclass(frozen=True)
 class Metric:
-    """Description of a metric.
-
-    Attributes:
-        label: Name in tables.
-        higher_is_better: Whether larger values are better.
-        definition: Formula with tone map and epsilon.
-        decimals: Digits in tables.
-    """
+    """Description of a metric."""
 
     label: str
     higher_is_better: bool
@@ -136,16 +129,7 @@ class ImageMetrics:
     def __call__(
         self, prediction: Images, reference: Images, gbuffer: Mapping[str, Tensor] | None = None
     ) -> dict[str, PerImage]:
-        """Compute all metrics in float32, regardless of the inputs' precision and of autocast.
-
-        Args:
-            prediction: Linear radiance.
-            reference: Linear radiance.
-            gbuffer: Channels for detailed metrics, see `l1_parts`.
-
-        Returns:
-            Values by metric name.
-        """
+        """Compute all metrics of linear radiance by name, in float32; detailed ones need a G-buffer (`l1_parts`)."""
         with torch.autocast(prediction.device.type, enabled=False):
             x, y = prediction.float(), reference.float()
             values = {name: self._functions[name](x, y) for name in self.names}

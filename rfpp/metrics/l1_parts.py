@@ -26,8 +26,6 @@ def l1_parts(prediction: Images, reference: Images, gbuffer: Mapping[str, Tensor
     direct light. Pixels without a surface count as rough.
 
     Args:
-        prediction: Linear radiance.
-        reference: Linear radiance.
         gbuffer: Channels of the baselines and of `CHANNELS`, [N, 3 or 1, H, W] each.
 
     Returns:

@@ -18,17 +18,7 @@ EMPTY, UNLIT = "empty_views", "unlit_views"
 
 @dataclass(frozen=True)
 class Acceptance:
-    """Criteria for views, checked on a small G-buffer with shadowed direct light.
-
-    Attributes:
-        resolution: pixels of that G-buffer.
-        light_samples: shadow rays per light and pixel.
-        min_coverage: minimum share of pixels that see a surface.
-        min_lit: minimum share of these that receive direct light.
-        min_radiance: minimum mean outgoing radiance of direct light over all pixels.
-        camera_attempts: draws of a camera before the scene is redrawn.
-        scene_attempts: draws of a scene before it fails.
-    """
+    """Criteria for views, checked on a small G-buffer with shadowed direct light."""
 
     resolution: int
     light_samples: int
@@ -49,13 +39,7 @@ class Acceptance:
     def cameras(
         self, rays: SceneRays, draw: Callable[[int], tuple[Camera, ...]], rejected: Counter[str]
     ) -> tuple[Camera, ...] | None:
-        """Return the first accepted draw of each camera, or None if a camera has none.
-
-        Args:
-            rays: Ray casting in the scene.
-            draw: Attempt → its cameras.
-            rejected: Counts the rejected views by reason.
-        """
+        """Return the first accepted draw of each camera, or None if a camera has none."""
         accepted: dict[int, Camera] = {}
         for attempt in range(self.camera_attempts):
             cameras = draw(attempt)

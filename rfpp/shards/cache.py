@@ -15,13 +15,10 @@ from rfpp.errors import UserError
 
 @dataclass(frozen=True)
 class ShardCache:
-    """Least-recently-used cache. Files are named by their content hash, so entries never become stale.
+    """Least-recently-used cache, which several machines may share.
 
-    Removing an open file does not disturb its readers; its space is freed when the last one closes it.
-
-    Attributes:
-        folder: created on demand; may be shared by several machines.
-        gigabytes: size limit, not counting downloads in progress.
+    Files are named by their content hash, so entries never become stale. Removing an open file does not disturb its
+    readers; its space is freed when the last one closes it.
     """
 
     folder: str | Path

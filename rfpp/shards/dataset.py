@@ -28,9 +28,6 @@ class ShardSplit(Dataset):
     Reads only the bytes of the requested sample. Picklable: every process opens its own tars.
 
     Args:
-        root: Folder or URL of the data set, or several to be concatenated.
-        split: For example "train", "train_newviews", "test".
-        cache: Cache for URLs.
         require_all: Check on construction that all local shards exist with their listed size.
 
     Raises:
@@ -55,7 +52,7 @@ class ShardSplit(Dataset):
     @property
     def sizes(self) -> list[int]:
         """Number of scenes in each shard."""
-        return [shard.samples for shard in self._shards]
+        return [shard.listed.samples for shard in self._shards]
 
     def __len__(self) -> int:
         return self._ends[-1] if self._ends else 0
@@ -119,7 +116,7 @@ def find_sample(root: Root, key: str) -> SceneSample:
     """Return the sample with this key, e.g. "train-000012". Raises ShardError listing the available keys."""
     split, _, number = key.rpartition("-")
     manifest = Manifest.load(root)
-    counts = {name: sum(shard.samples for shard in shards) for name, shards in manifest.splits.items()}
+    counts = {name: sum(shard.listed.samples for shard in shards) for name, shards in manifest.splits.items()}
     if number.isdecimal() and int(number) < counts.get(split, 0):
         return ShardSplit(root, split)[int(number)]
     available = ", ".join(f"{name}-000000 … {name}-{count - 1:06d}" for name, count in counts.items() if count)

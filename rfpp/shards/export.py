@@ -77,11 +77,7 @@ FORMATS: Mapping[str, Callable[[SceneSample, Path], list[Path]]] = {
 
 
 def as_scene(sample: SceneSample) -> Scene:
-    """Return a scene with meshes in world space and look-at cameras, as described in `export_renderformer`.
-
-    Raises:
-        SceneError: If a scene file cannot hold an object's material or mesh.
-    """
+    """Return a scene with meshes in world space and look-at cameras, as described in `export_renderformer`."""
     cameras = tuple(look_at(pose, fov) for pose, fov in zip(sample.c2w, sample.fov, strict=True))
     return Scene(name=sample.key, objects=tuple(_objects(sample.triangles)), cameras=cameras)
 

@@ -26,12 +26,6 @@ def make(recipe: Recipe, farm: RenderFarm, progress: Callable[[int, int], None],
     Finished shards and samples are left alone. A failing scene is tried twice and recorded with its traceback; the
     other scenes are still generated.
 
-    Args:
-        recipe: Plan of the data set.
-        farm: Worker processes.
-        progress: Called with (finished scenes, all scenes) of the slice; first with the existing ones.
-        part: Slice to generate.
-
     Raises:
         ShardError: If the folder holds data of other settings, or scenes failed.
         MissingDependencyError: If Blender or Embree is not installed.

@@ -57,13 +57,7 @@ class SampleEntry(NamedTuple):
 
 
 class Shard(Record):
-    """One finished tar file.
-
-    Attributes:
-        file: its name in the data set's folder.
-        bytes, sha256: its size and hash.
-        fingerprint: identifies the settings of its samples.
-    """
+    """One finished tar file."""
 
     file: Annotated[str, AfterValidator(_tar)]
     bytes: Count

@@ -40,19 +40,7 @@ class SceneSource(Protocol):
 
 @dataclass(frozen=True)
 class DatasetSettings:
-    """Size, location and contents of a data set. Values are in conf/data/*.yaml.
-
-    Attributes:
-        name: of the data set.
-        root: folder to write.
-        seed: non-negative; with split and index it determines every scene.
-        resolution: width and height of the images in pixels.
-        views: cameras per scene.
-        light_samples: shadow rays per light and pixel of the G-buffers, and reflection rays per pixel.
-        splits: number of scenes in each split of `SPLIT_CODES`; "train_newviews" are the first training scenes.
-        scenes_per_shard: scenes in one tar.
-        acceptance: criteria for views.
-    """
+    """Size, location and contents of a data set. Values are in conf/data/*.yaml."""
 
     name: str
     root: str
@@ -125,14 +113,7 @@ class MadeScene:
 class SceneJob:
     """Makes samples; picklable, so that worker processes can run it.
 
-    A sample depends only on its task and these attributes.
-
-    Attributes:
-        family: source of the scenes.
-        reference: Cycles settings; each sample replaces the noise seed.
-        data: properties of the samples.
-        fingerprint: of all settings, stored in each sample.
-        render: renders images; has the signature of `rfpp.reference.cycles.render`.
+    A sample depends only on its task and these attributes; `render` has the signature of `cycles.render`.
     """
 
     family: SceneSource

@@ -58,10 +58,6 @@ class Manifest:
     def load(cls, root: Root | Sequence[Root], cache: ShardCache | None = None) -> Manifest:
         """Read the manifest of a data set, or of several to be used as one; one listed twice counts twice.
 
-        Args:
-            root: Folder or URL, or several.
-            cache: Cache for URLs.
-
         Raises:
             ShardError: If a manifest is missing, unreadable or of another schema version, or image sizes differ.
             UserError: If a server cannot be reached, or a URL has no cache.

@@ -15,8 +15,6 @@ class ShuffledOrder:
     and a remote shard is fetched once per epoch. Resuming at any position costs at most one window's shuffle.
 
     Args:
-        sizes: Samples in each shard.
-        seed: Seed of the order.
         window: Shards shuffled together.
 
     Raises:

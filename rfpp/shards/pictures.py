@@ -56,12 +56,7 @@ def sample_panel(sample: SceneSample) -> UInt8[np.ndarray, "h w 3"]:
 
 
 def contact_sheet(scenes: Iterable[Scene | PackedScene], resolution: int) -> UInt8[np.ndarray, "h w 3"]:
-    """Draw the first view of each scene without path tracing: direct light, shadows, and an ambient term.
-
-    Args:
-        scenes: Each with at least one camera.
-        resolution: Width and height of each picture in pixels.
-    """
+    """Draw the first view of each scene without path tracing: direct light, shadows, and an ambient term."""
     packed = [pack(scene) for scene in scenes]
     captions = [f"{index}: {_contents(scene.triangles)}" for index, scene in enumerate(packed)]
     return panels.contact_sheet([_preview(scene, resolution) for scene in packed], captions)

@@ -114,13 +114,7 @@ class Import:
 
 @dataclass(frozen=True)
 class ImportJob:
-    """Makes a sample of a file; picklable, and small because it is sent with each task.
-
-    Attributes:
-        folder, validation, test: as in `Import`.
-        light_samples: as in `DatasetSettings`.
-        fingerprint: of all settings, stored in each sample.
-    """
+    """Makes a sample of a file; picklable, and small because it is sent with each task."""
 
     folder: Path
     validation: float | int

@@ -102,8 +102,6 @@ def decode(
     """Invert `encode` for the requested views and channels.
 
     Args:
-        key: Key of the sample.
-        members: Member name → bytes.
         choose: Views to decode; None decodes all.
         channels: G-buffer channels; files that hold none of them are not decoded.
 

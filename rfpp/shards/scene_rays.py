@@ -14,11 +14,7 @@ from rfpp.scene.triangles import SceneTriangles
 
 
 class SceneRays:
-    """Ray casting for one scene and any number of cameras.
-
-    Attributes:
-        triangles: the whole scene.
-    """
+    """Ray casting for one scene and any number of cameras."""
 
     def __init__(self, triangles: SceneTriangles) -> None:
         self.triangles = triangles

@@ -23,16 +23,6 @@ class StoredShard:
     listed: ListedShard
     store: Store
 
-    @property
-    def file(self) -> str:
-        """Name of the tar."""
-        return self.listed.file
-
-    @property
-    def samples(self) -> int:
-        """Number of samples."""
-        return self.listed.samples
-
     def index(self) -> ShardIndex:
         """Read the index. Raises ShardError if it is missing or is not the one listed."""
         text = self.store.read_index(self.listed)
@@ -43,8 +33,8 @@ class StoredShard:
             index = ShardIndex.model_validate_json(text)
         except ValidationError as error:
             raise ShardError(f"{path}: not the index of a shard ({first_problem(error)}): {remedy}") from error
-        if len(index.samples) != self.samples:
-            raise ShardError(f"{path}: lists {len(index.samples)} samples, the manifest says {self.samples}: {remedy}")
+        if (count := len(index.samples)) != self.listed.samples:
+            raise ShardError(f"{path}: lists {count} samples, the manifest says {self.listed.samples}: {remedy}")
         return index
 
     def open(self) -> int:
@@ -70,4 +60,6 @@ class StoredShard:
 
     def damage(self, key: str, problem: str) -> ShardError:
         """Return the error for a sample that cannot be used."""
-        return ShardError(f"{self.store.root}/{self.file}: sample {key} {problem}: {self.store.remedy(self.listed)}")
+        return ShardError(
+            f"{self.store.root}/{self.listed.file}: sample {key} {problem}: {self.store.remedy(self.listed)}"
+        )

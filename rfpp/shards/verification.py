@@ -20,11 +20,6 @@ from rfpp.shards.tar import END_OF_ARCHIVE
 def verify(root: Path, farm: RenderFarm, progress: Callable[[int, int], None]) -> list[str]:
     """Return all defects of a data set, one line each, in the order of its shards.
 
-    Args:
-        root: Folder of the data set.
-        farm: Worker processes.
-        progress: Called with (checked shards, all shards).
-
     Raises:
         ShardError: If the manifest cannot be read.
     """

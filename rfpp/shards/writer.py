@@ -18,12 +18,6 @@ from rfpp.shards.tar import END_OF_ARCHIVE
 def write_shard(root: Path, file: str, fingerprint: str, samples: Iterable[tuple[str, MadeScene]]) -> ShardIndex:
     """Write a tar under a temporary name, move it into place, then write its index.
 
-    Args:
-        root: Folder of the data set.
-        file: Name of the tar.
-        fingerprint: Identifies the settings of the samples.
-        samples: Keys and samples, in order.
-
     Raises:
         UserError: If the disk is full or the folder cannot be written; nothing is left behind.
     """

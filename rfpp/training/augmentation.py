@@ -29,7 +29,6 @@ class RigidMotion:
 
     Attributes:
         rotation: standard deviation of each component of the rotation vector, radians.
-        translation: standard deviation of each component of the translation, world units.
     """
 
     rotation: float

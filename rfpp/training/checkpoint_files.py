@@ -65,8 +65,6 @@ def checkpoint_to_resume(choice: str | None, folder: Path, model: dict[str, Any]
 
     Args:
         choice: Path, None or AUTO.
-        folder: Folder of the run's checkpoints.
-        model: Configuration of the network.
 
     Raises:
         CheckpointError: If the chosen checkpoint, or each one in the folder, is missing or damaged, or if it holds

@@ -28,12 +28,8 @@ class SceneDataModule(L.LightningDataModule):
     Its state is the position in the data order: a resumed run reads no scene twice in an epoch.
 
     Args:
-        source: Stored scenes.
-        batching: Division into batches.
         gbuffer_channels: Channels that the network reads, in order.
         augmentation: Name → augmentation of training draws, applied in this order; None disables one.
-        workers: Loader processes per device.
-        seed: Seed of data order, views and augmentation.
     """
 
     def __init__(
@@ -55,10 +51,6 @@ class SceneDataModule(L.LightningDataModule):
     def manifest(self) -> Manifest:
         """Manifest of the data; raises ShardError like `DataSource.manifest`."""
         return self.source.manifest
-
-    def accumulation(self, devices: int) -> int:
-        """See `Batching.accumulation`."""
-        return self.batching.accumulation(devices)
 
     @property
     def scenes_per_batch(self) -> int:

@@ -1,8 +1,6 @@
-"""Floating-point operations of a network and peak rate of its device."""
+"""Floating-point operations of a network and published peak rates of GPUs."""
 
 from __future__ import annotations
-
-import time
 
 import torch
 from torch import nn
@@ -14,8 +12,6 @@ from rfpp.batch import RaggedBatch
 UNKNOWN_TO_COUNTER = {
     torch.ops.aten._scaled_dot_product_flash_attention_for_cpu: lambda q, k, v, *_, **__: sdpa_flop_count(q, k, v)
 }
-#: Side of the matrices that measure a device's rate: large enough to keep it busy.
-MATRIX_SIZE = {"cpu": 1024, "cuda": 8192}
 #: Operations per second in dense bfloat16 matrix products, summed in float32, from NVIDIA's data sheets.
 #: Longer names come first.
 PUBLISHED_PEAKS = {
@@ -29,10 +25,6 @@ PUBLISHED_PEAKS = {
     "NVIDIA GeForce RTX 4090": 165e12,
     "NVIDIA GeForce RTX 3090": 71e12,
 }
-#: Seconds of a measurement.
-MEASURED_FOR = 0.5
-#: Number of trials, of which the fastest counts: other processes can only slow it down.
-TRIALS = 5
 
 
 @torch.no_grad()
@@ -54,22 +46,3 @@ def published_peak(device: torch.device, dtype: torch.dtype) -> float | None:
         return None
     name = torch.cuda.get_device_name(device)
     return next((peak for card, peak in PUBLISHED_PEAKS.items() if name.startswith(card)), None)
-
-
-@torch.no_grad()
-def matrix_product_rate(device: torch.device, dtype: torch.dtype) -> float:
-    """Measure the operations per second of a device in products of large matrices."""
-    size = MATRIX_SIZE.get(device.type, MATRIX_SIZE["cpu"])
-    a = torch.randn(size, size, device=device, dtype=dtype)  # not constant: that takes less power
-
-    def seconds(products: int) -> float:
-        begin = time.perf_counter()
-        for _ in range(products):
-            torch.mm(a, a)
-        if device.type == "cuda":
-            torch.cuda.synchronize(device)
-        return time.perf_counter() - begin
-
-    seconds(2)  # warm-up: chooses and loads kernels
-    products = max(1, int(MEASURED_FOR / TRIALS / seconds(1)))
-    return 2 * size**3 * products / min(seconds(products) for _ in range(TRIALS))

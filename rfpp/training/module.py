@@ -24,11 +24,6 @@ class RenderingModule(L.LightningModule):
     """Network, loss and logging.
 
     Args:
-        network: Maps a RaggedBatch to a Rendering.
-        loss: Training loss.
-        metrics: Validation metrics, on linear radiance.
-        optimizer: Builds the optimizer from parameter groups.
-        schedule: Builds the learning-rate schedule of an optimizer.
         info: Description of the network in checkpoints, from which they load without this class.
     """
 

@@ -25,14 +25,7 @@ PLAN_KEY = "plan"
 
 @dataclass(frozen=True)
 class TrainingPlan:
-    """Derived settings of a training run.
-
-    Attributes:
-        ranks: Processes of the run, one per device, over all nodes.
-        precision: Lightning's name of the precision, e.g. "bf16-mixed".
-        accumulate_grad_batches: Batches per device and optimizer step.
-        val_check_interval: Batches per device between validations.
-    """
+    """Derived settings of a training run."""
 
     ranks: int
     precision: str
@@ -50,11 +43,6 @@ def plan_training(trainer: Mapping[str, Any], accumulation: Callable[[int], int]
 
     `trainer.val_check_interval` counts optimizer steps and Lightning counts batches. A run shorter than the interval
     is validated at its end.
-
-    Args:
-        trainer: The `trainer` section of the configuration.
-        accumulation: Batches per device and step for a number of ranks, see `SceneDataModule.accumulation`.
-        resumed: Checkpoint to resume from, or None.
 
     Raises:
         UserError: If the number of devices is not given as a number, or the global batch does not divide among them.
@@ -74,11 +62,6 @@ def choose_precision(setting: str, accelerator: str, resumed: Path | None) -> st
 
     "auto" is mixed precision if the device has instructions for bfloat16 products, else float32: emulated bfloat16
     is three times slower. A resumed run keeps its precision on any machine.
-
-    Args:
-        setting: "auto" or a precision of Lightning's.
-        accelerator: Lightning's setting.
-        resumed: Checkpoint to resume from, or None.
     """
     before = None if resumed is None else _precision_of_run(resumed)
     if setting == AUTO:

@@ -39,11 +39,7 @@ def render_views(
     """Render the views of stored scenes without refinement.
 
     Args:
-        renderer: Renderer of radiosity.
-        split: Scenes with references.
         samplings: Pairs of light samples and supersampling; one is drawn for each view.
-        seed: Seed of these draws.
-        scenes: Number of scenes, from the first; None renders all.
         progress: Called with the scenes rendered so far and the number of scenes.
     """
     rng, surfaces = np.random.default_rng(seed), GBufferSource(Refinement.channels)
@@ -84,12 +80,7 @@ def augment(view: View, generator: torch.Generator) -> View:
 
 
 class AugmentedViews(Dataset):
-    """Views that are augmented differently at each draw.
-
-    Args:
-        views: Views without augmentation.
-        seed: Seed of the augmentation.
-    """
+    """Views that are augmented differently at each draw."""
 
     def __init__(self, views: Sequence[View], seed: int):
         self.views, self._generator = views, torch.Generator().manual_seed(seed)
@@ -102,14 +93,7 @@ class AugmentedViews(Dataset):
 
 
 class RefinementModule(L.LightningModule):
-    """Refinement, loss and logging.
-
-    Args:
-        refinement: Refinement to train.
-        loss: Loss of linear radiance and its reference.
-        optimizer: Builds the optimizer from parameters.
-        schedule: Builds the learning-rate schedule of an optimizer.
-    """
+    """Refinement, loss and logging."""
 
     def __init__(
         self,

@@ -9,14 +9,7 @@ from torch.optim.lr_scheduler import LambdaLR
 
 
 def warmup_cosine(optimizer: Optimizer, warmup_steps: int, total_steps: int, final_fraction: float) -> LambdaLR:
-    """Return a schedule with linear warm-up and cosine decay.
-
-    Args:
-        optimizer: Optimizer with the maximum learning rate.
-        warmup_steps: Steps of the warm-up.
-        total_steps: Steps of the whole run.
-        final_fraction: Fraction of the maximum learning rate at the end.
-    """
+    """Return a schedule with linear warm-up and cosine decay."""
 
     def factor(step: int) -> float:
         if step < warmup_steps:

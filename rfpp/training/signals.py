@@ -33,9 +33,6 @@ class StopSignals:
 
     The handler does not save: ranks receive signals at different moments, and a rank that saves while another waits in
     an all-reduce would deadlock.
-
-    Attributes:
-        received: Received signal of highest priority, or None.
     """
 
     def __init__(self) -> None:
@@ -90,11 +87,7 @@ def _kill_loaders() -> None:
 
 
 def exit_with_parent(worker: int = 0) -> None:
-    """End this loader process when its training process has ended, even if that was killed.
-
-    Args:
-        worker: Number of the loader, passed by DataLoader.
-    """
+    """End this loader process when its training process has ended, even if that was killed."""
     if (parent := parent_process()) is not None:
         threading.Thread(target=_exit_after, args=(parent,), name="parent-watch", daemon=True).start()
 

@@ -19,9 +19,6 @@ class DataSource:
 
     Attributes:
         root: folder or URL of a data set, or several to be trained on together; one listed twice counts twice.
-        cache: for URLs.
-        training_scenes: number of scenes of the `train` split to use, from the first; None uses all.
-        validation_scenes: maximum number of scenes of the `validation` split.
         skip_corrupt: omit unreadable training scenes from their batch, with a warning, instead of stopping.
             Validation always stops, because its numbers are compared.
     """

@@ -17,11 +17,7 @@ from rfpp.training.signals import BY_PRIORITY, REQUEUE
 
 
 class StoppedError(UserError):
-    """A signal stopped training after a checkpoint was saved; raised on all ranks at the same step.
-
-    Attributes:
-        signal: Received signal.
-    """
+    """A signal stopped training after a checkpoint was saved; raised on all ranks at the same step."""
 
     def __init__(self, message: str, received: signal.Signals):
         super().__init__(message)
@@ -33,9 +29,6 @@ class Agreement:
 
     Ranks communicate over a gloo group of their own: a collective operation on GPUs would wait for all queued work.
     All ranks must construct it together.
-
-    Args:
-        ranks: Number of ranks.
     """
 
     def __init__(self, ranks: int):
@@ -45,10 +38,6 @@ class Agreement:
         """Return the signal of highest priority over all ranks, and whether a checkpoint is due on any rank.
 
         All ranks must call it at the same steps.
-
-        Args:
-            received: Signal received by this rank.
-            due: True if this rank requests a checkpoint.
         """
         if self._group is None:
             return received, due

@@ -46,9 +46,6 @@ def end_summary(logger: RunLogger, checkpoint: Path, data_root: str, monitor: st
     """Summarize the best validation, its checkpoint, the logs, and the commands to evaluate and render.
 
     Args:
-        logger: Logger of the run.
-        checkpoint: Best checkpoint.
-        data_root: Folder or URL of the data set.
         monitor: Metric that selects the best checkpoint, the lower the better, e.g. "validation/log_l1".
     """
     validations = [

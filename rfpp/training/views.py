@@ -13,18 +13,14 @@ from rfpp.shards.dataset import ShardSplit
 from rfpp.shards.order import ShuffledOrder
 from rfpp.shards.views import read_views
 from rfpp.training.augmentation import Augmentation
-from rfpp.training.partition import Partition
+from rfpp.training.batching import Partition
 
 
 class TrainingViews(Dataset):
     """Random views of a split's scenes, a pure function of (seed, epoch, scene).
 
     Args:
-        split: Stored scenes.
-        channels: G-buffer channels.
         views_per_scene: Number of views drawn from each scene without replacement.
-        augmentations: Applied to each draw in this order.
-        seed: Seed of the draws.
     """
 
     def __init__(
@@ -58,10 +54,6 @@ class GlobalBatches(Sampler[list[tuple[int, int]]]):
     partitioned among the ranks, and each rank's part into `accumulate` smaller batches.
 
     Args:
-        order: Order of the scenes.
-        partition: Divides a batch.
-        triangles_of: Returns the number of triangles of a draw's scene.
-        scenes_per_batch: Scenes per global batch.
         batches: Number of global batches in the whole run.
         start: Number of global batches already trained on.
         rank, ranks: Part to return.

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rfpp.benchmark.step_time import BACKWARD_SHARE, Cluster, Work, all_reduce_seconds, slowest_share, step_time
-from rfpp.training.partition import BalancedBySize, Contiguous, Partition
+from rfpp.training.batching import BalancedBySize, Contiguous, Partition
 
 WORK = Work(
     triangles=np.full(10, 100), scene_flops=np.full(10, 3e12), gradient_bytes=8e8, scenes=16, scenes_at_once=None,

@@ -5,15 +5,13 @@ from functools import partial
 import pytest
 from small_data import REFERENCE, SETTINGS, BoxFamily, make
 
-from rfpp.benchmark.streaming import PAPER_IMAGES_PER_SECOND, measure
-from rfpp.benchmark.synthetic_data import SyntheticData
+from rfpp.benchmark.streaming import PAPER_IMAGES_PER_SECOND, SyntheticData, measure
 from rfpp.reference.farm import RenderFarm
 from rfpp.shards.cache import ShardCache
 from rfpp.shards.dataset import ShardSplit
 from rfpp.shards.manifest import Manifest
-from rfpp.training.batching import Batching
+from rfpp.training.batching import Batching, Contiguous
 from rfpp.training.datamodule import SceneDataModule
-from rfpp.training.partition import Contiguous
 from rfpp.training.source import DataSource
 
 

@@ -73,7 +73,7 @@ def test_loading_executes_nothing(tmp_path, monkeypatch):
     assert not (tmp_path / "pwned").exists()
 
 
-@pytest.mark.parametrize("target", ["os.system", "subprocess.run", "rfpp.training.config_file.write_config", 7])
+@pytest.mark.parametrize("target", ["os.system", "subprocess.run", "rfpp.commands.write_config", 7])
 def test_a_config_may_only_name_parts_of_the_model(target):
     with pytest.raises(CheckpointError, match="refused"):
         build({"_target_": target, "command": "true"}, "evil.ckpt")

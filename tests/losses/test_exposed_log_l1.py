@@ -4,8 +4,7 @@ import pytest
 import torch
 
 from rfpp.imaging.radiance import log_encode
-from rfpp.losses.exposed_log_l1 import ExposedLogL1
-from rfpp.losses.log_l1 import log_l1
+from rfpp.losses.log_l1 import ExposedLogL1, log_l1
 
 LOSS = ExposedLogL1([8, 64], 0.05)
 

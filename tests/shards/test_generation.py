@@ -37,7 +37,7 @@ def scenes(manifest: Manifest, split: str) -> list:
 
 
 def test_counts_files_and_keys(finished):
-    assert [shard.samples for shard in finished.shards("train")] == [2, 2, 1]
+    assert [shard.listed.samples for shard in finished.shards("train")] == [2, 2, 1]
     assert [entry.key for entry in finished.samples("test")] == ["test-000000", "test-000001"]
     assert finished.counts["scenes"] == 10
     assert finished.counts["images"] == 20

@@ -97,7 +97,7 @@ def test_several_processes_fetch_a_shard_once(server, finished, cache):
         reader.join()
     assert keys == 2 * [[entry.key for entry in finished.samples("train")]]
     tars = [name for name in server.requests if name.endswith(".tar")]
-    assert sorted(tars) == [shard.file for shard in finished.shards("train")]
+    assert sorted(tars) == [shard.listed.file for shard in finished.shards("train")]
 
 
 def test_the_cache_evicts_least_recently_used_files_without_disturbing_readers(server, finished, tmp_path):

@@ -23,9 +23,8 @@ from rfpp.scene.spec import SceneObject, Transform
 from rfpp.shards.cache import ShardCache
 from rfpp.shards.manifest import Manifest
 from rfpp.training.augmentation import RigidMotion
-from rfpp.training.batching import Batching
+from rfpp.training.batching import BalancedBySize, Batching, Contiguous
 from rfpp.training.datamodule import SceneDataModule
-from rfpp.training.partition import BalancedBySize, Contiguous
 from rfpp.training.source import DataSource
 
 SCENES, PER_STEP, STEPS = 7, 4, 5  # two epochs and six scenes
@@ -113,7 +112,7 @@ def test_resuming_at_any_step_yields_the_remaining_batches(root, uninterrupted, 
 )
 def test_a_device_accumulates_beyond_its_limit(root, per_step, per_device, devices, batches):
     data = datamodule(root, scenes_per_step=per_step, scenes_per_device=per_device)
-    assert data.accumulation(devices) == batches
+    assert data.batching.accumulation(devices) == batches
 
 
 @pytest.mark.parametrize(
@@ -126,7 +125,7 @@ def test_a_device_accumulates_beyond_its_limit(root, per_step, per_device, devic
 )
 def test_indivisible_batches_are_refused(root, change, named):
     with pytest.raises(UserError, match=named):
-        datamodule(root, **change).accumulation(3)
+        datamodule(root, **change).batching.accumulation(3)
 
 
 def test_accumulation_divides_the_same_batches(root, uninterrupted):
@@ -166,11 +165,11 @@ def damaged(root: Path, target: Path, *keys: str) -> Path:
     shutil.copytree(root, target)
     manifest = Manifest.load(target)
     for shard in manifest.shards("train"):
-        content = bytearray((target / shard.file).read_bytes())
+        content = bytearray((target / shard.listed.file).read_bytes())
         for entry in shard.index().samples:
             if entry.key in keys:
                 content[entry.offset + entry.size // 2] ^= 1
-        (target / shard.file).write_bytes(content)
+        (target / shard.listed.file).write_bytes(content)
     return target
 
 

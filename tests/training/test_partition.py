@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rfpp.training.partition import BalancedBySize, Contiguous
+from rfpp.training.batching import BalancedBySize, Contiguous
 
 
 def loads(parts: list[list[int]], sizes: list[int]) -> list[int]:

@@ -1,6 +1,5 @@
 """A training run in MLflow: metrics, pictures, parameters, and a model to load from there."""
 
-import warnings
 from pathlib import Path
 
 import pytest
@@ -18,7 +17,6 @@ from rfpp.losses.ablation import OTHER_TOKENS, TokenFeatures, ablated
 from rfpp.losses.log_l1 import log_l1
 from rfpp.shards.dataset import ShardSplit
 from rfpp.shards.views import select_views
-from rfpp.training.callbacks.ablation import AblationMonitor
 from rfpp.training.tracking.registry import checkpoint_file
 
 STEPS = 4
@@ -50,12 +48,10 @@ def test_every_step_is_logged(tracked):
     every_step |= {"consistency/k1", "consistency/k2", "consistency/k3", "memory/resident"}
     rates = ("steps", "scenes", "images", "triangles", "tokens")
     every_step |= {f"throughput/{name}_per_s" for name in rates}
-    every_step |= {"throughput/data_wait_fraction", "throughput/flop_utilisation"}
+    every_step.add("throughput/data_wait_fraction")
     for name in every_step:
         steps = [metric.step for metric in client.get_metric_history(run.info.run_id, name)]
         assert steps == list(range(STEPS)), name
-    assert 0 < run.data.metrics["throughput/flop_utilisation"] < 1.5
-    assert run.data.metrics["system/cpu_utilization_percentage"] >= 0
     assert run.data.params["plan.precision"] in ("32-true", "bf16-mixed")
 
 
@@ -83,16 +79,6 @@ def test_every_validation_measures_the_ablations(tracked):
         growth = log_l1(image, second.image) / log_l1(network(second).log_radiance, second.image) - 1
     logged = {m.step: m.value for m in client.get_metric_history(run.info.run_id, "ablation/other_tokens")}
     assert logged[info.steps - 1] == pytest.approx(growth.item(), abs=1e-3)
-
-
-def test_unused_tokens_are_warned_of_once():
-    monitor = AblationMonitor(scenes=4, min_growth=0.05)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        monitor.warn_if_unused(0.2)
-        with pytest.warns(UserWarning, match=r"hardly uses its scene tokens: .* grows by 2.0%"):
-            monitor.warn_if_unused(0.02)
-        monitor.warn_if_unused(0.02)
 
 
 def test_the_run_records_settings_data_and_code(tracked):

@@ -35,8 +35,8 @@ def store(tmp_path, empty_database):
     return tmp_path
 
 
-def logger(folder, uri=None, run="run", patience=60.0, parent=None):
-    return MlflowLogger("rfpp", run, folder / run, folder, uri, parent, patience)
+def logger(folder, uri=None, run="run", patience=60.0):
+    return MlflowLogger("rfpp", run, folder / run, folder, uri, patience)
 
 
 def history(folder, run_id, name, uri=None):
@@ -56,7 +56,7 @@ from pathlib import Path
 from rfpp.training.tracking.mlflow_logger import MlflowLogger
 
 folder = Path(sys.argv[1])
-logger = MlflowLogger("rfpp", "run", folder / "run", folder, None, None, 60.0)
+logger = MlflowLogger("rfpp", "run", folder / "run", folder, None, 60.0)
 checkpoint = folder / "checkpoint"
 start = int(checkpoint.read_text()) if checkpoint.exists() else 0
 for step in range(start, int(sys.argv[2])):
@@ -117,19 +117,6 @@ def test_a_lost_run_id_is_found_again(store):
     again.finalize("success")
     (run,) = runs(store)
     assert run.data.metrics == {"a": 1.0}
-
-
-def test_runs_of_a_sweep_share_one_parent(store):
-    for name in ("one", "two"):
-        child = logger(store, run=name, parent="sweep")
-        child.log_hyperparams({})
-        assert child.run_id is not None
-        child.finalize("failed")
-    by_name = {run.info.run_name: run for run in runs(store)}
-    assert by_name.keys() == {"one", "two", "sweep"}
-    parents = {by_name[name].data.tags["mlflow.parentRunId"] for name in ("one", "two")}
-    assert parents == {by_name["sweep"].info.run_id}
-    assert by_name["one"].info.status == "FAILED"
 
 
 class Server:

@@ -11,7 +11,7 @@ from rfpp.shards import sample
 from rfpp.shards.dataset import ShardSplit
 from rfpp.shards.order import ShuffledOrder
 from rfpp.training.augmentation import RigidMotion
-from rfpp.training.partition import BalancedBySize, Contiguous, Partition
+from rfpp.training.batching import BalancedBySize, Contiguous, Partition
 from rfpp.training.views import GlobalBatches, TrainingViews
 
 CHANNELS = ("albedo", "normal", "position")

@@ -27,8 +27,6 @@ class Case:
 
     Attributes:
         triangles, objects, views: Numbers per scene; light sources count as objects.
-        resolution: Pixels along both sides of a view.
-        scenes: Scenes in the batch.
     """
 
     triangles: int

@@ -28,14 +28,7 @@ COLUMNS = {*Case.__dataclass_fields__, "compiled", "quantity", "network", "statu
 
 @dataclass(frozen=True)
 class Point:
-    """Measurement of one task in one case by networks that take turns.
-
-    Attributes:
-        task: Name of the task.
-        networks: Keys of the networks; with several, the first is the baseline.
-        compiled: Compile the transformer blocks.
-        case: Size of the batch.
-    """
+    """Measurement of one task in one case by networks that take turns."""
 
     task: str
     networks: tuple[str, ...]
@@ -45,13 +38,7 @@ class Point:
 
 @dataclass(frozen=True)
 class Rounds:
-    """Number and duration of turns.
-
-    Attributes:
-        count: Turns of each network after a first one that warms up.
-        enough_seconds: No further turn for a network whose turns took this long together.
-        timeout: Maximum seconds per turn.
-    """
+    """Number and duration of turns."""
 
     count: int
     enough_seconds: float | int
@@ -62,11 +49,6 @@ def points(
     groups: Sequence[Mapping[str, Any]], case: Case, tasks: Sequence[str], networks: Sequence[str]
 ) -> list[Point]:
     """Return the Cartesian product of each group's values, each point once.
-
-    Args:
-        groups: Values or lists of values of `task`, `compiled` and the attributes of Case; `networks` is one list.
-        case: Sizes that a group does not name.
-        tasks, networks: Names; a group that names none has all.
 
     Raises:
         UserError: If a group names an unknown field, task or network, or an impossible case.
@@ -103,16 +85,6 @@ def measure(
     as resident memory beyond what the process held without them. `of_peak` (MFU) is the rate of the counted
     operations as a share of the card's published rate. A network that exceeds memory or time has a row with that
     status.
-
-    Args:
-        networks: Key → network.
-        tasks: Name → task.
-        case: Sizes that groups do not name.
-        groups: Measurements, in order; see `points`.
-        setting: Device and precision.
-        rounds: Number and duration of turns.
-        finished: Table of an earlier run, if the file exists: its rows come first and are not measured again.
-        progress: Called with (turns taken, all turns).
 
     Raises:
         UserError: If a group or a resolution is invalid, or `finished` is not such a table.

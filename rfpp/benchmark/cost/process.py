@@ -39,13 +39,7 @@ class NotMeasuredError(Exception):
 
 @dataclass(frozen=True)
 class Turn:
-    """One execution of a task.
-
-    Attributes:
-        seconds: Quantity → seconds.
-        peak: Maximum of bytes held by weights, batch, activations, gradients and moments so far.
-        held: Part of `peak` that was allocated before the first execution.
-    """
+    """One execution of a task."""
 
     seconds: dict[str, float]
     peak: int
@@ -53,14 +47,7 @@ class Turn:
 
 
 class Worker:
-    """Process that holds a network and a task. Call `ready` once, then `turn` any number of times.
-
-    Args:
-        network, task, case: Objects of the measurement.
-        compiled: Compile the transformer blocks.
-        setting: Device and precision.
-        timeout: Maximum seconds per turn.
-    """
+    """Process that holds a network and a task. Call `ready` once, then `turn` any number of times."""
 
     def __init__(
         self, network: Untrained, task: Task, case: Case, compiled: bool, setting: Setting, timeout: float | int

@@ -38,12 +38,7 @@ Run = Callable[[], dict[str, float]]
 
 @dataclass(frozen=True)
 class Untrained:
-    """Network with random weights, which costs as much as a trained one.
-
-    Attributes:
-        name: Name in the rows.
-        model: Nested `_target_` configuration.
-    """
+    """Network with random weights, which costs as much as a trained one."""
 
     name: str
     model: dict[str, Any]
@@ -150,9 +145,6 @@ class TrainingStep:
 
     Attributes:
         quantity: Name of the step in the rows.
-        loss: Training objective.
-        optimizer: Function from parameter groups to an optimizer.
-        gradient_clip: Maximum norm of the gradient.
         checkpointing: Network name → activation checkpointing; other networks keep all activations.
     """
 

@@ -20,10 +20,7 @@ class Estimate:
     """A mean over scenes with its 95% confidence interval.
 
     Attributes:
-        mean: Mean over scenes; NaN if any value is NaN.
         low: Lower end of the interval; NaN for a single scene.
-        high: Upper end of the interval; NaN for a single scene.
-        scenes: Number of scenes.
     """
 
     mean: float
@@ -43,12 +40,7 @@ Estimates = Mapping[str, Estimate]
 
 @dataclass(frozen=True)
 class Bootstrap:
-    """Percentile bootstrap over scenes (Efron 1979).
-
-    Attributes:
-        resamples: Number of resamples.
-        seed: Seed of the resampling; every call starts from it.
-    """
+    """Percentile bootstrap over scenes (Efron 1979)."""
 
     resamples: int
     seed: int

@@ -17,19 +17,7 @@ Row = Mapping[str, str | int | float | None]
 def write_records(
     records: Sequence[SceneRecord], means: Mapping[tuple[str, str], Estimates], folder: Path
 ) -> list[Path]:
-    """Write `images.csv`, `scenes.csv` and `summary.csv`.
-
-    Args:
-        records: Scores of every scene and predictor.
-        means: Estimates by (split, predictor).
-        folder: Folder to write to.
-
-    Returns:
-        Paths of the files.
-
-    Raises:
-        UserError: If a file cannot be written.
-    """
+    """Write `images.csv`, `scenes.csv` and `summary.csv`."""
     images, scenes = [], []
     for r in records:
         where = {"split": r.split, "scene": r.scene}
@@ -42,14 +30,7 @@ def write_records(
 
 
 def write_rows(path: Path, rows: Sequence[Row]) -> Path:
-    """Write a CSV file with floats of seven digits. A key missing from a row is an empty cell.
-
-    Returns:
-        Path of the file.
-
-    Raises:
-        UserError: If the file cannot be written.
-    """
+    """Write a CSV file with floats of seven digits. A key missing from a row is an empty cell."""
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
     names = list(dict.fromkeys(name for row in rows for name in row))

@@ -23,16 +23,6 @@ def score(
 ) -> list[SceneRecord]:
     """Score every predictor on every scene of a split.
 
-    Args:
-        predictors: Predictors to score.
-        split: Split with references.
-        metrics: Metrics to compute.
-        device: Device to compute metrics on.
-        on_scene: Callback after each scene, for a progress bar.
-
-    Returns:
-        One record per scene and predictor.
-
     Raises:
         ShardError: If the split is empty or a sample is damaged.
         UserError: If a predictor cannot render the stored resolution.

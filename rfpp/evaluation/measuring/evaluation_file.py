@@ -28,14 +28,7 @@ class Evaluation:
     """Scores of one checkpoint and the trivial baselines on one data set.
 
     Attributes:
-        method: Name of the method.
-        trained_on: Name of the training data set.
-        seed: Seed of the training.
-        steps: Optimizer steps, if known.
-        commit: Code version of the training, if known.
-        data: Name of the evaluated data set.
         data_manifest: Hash of its manifest.
-        hardware: Device of the evaluation.
         definitions: Formula with tone map and epsilon, by metric name.
         means: Estimates by (split, predictor), then by metric name.
         ablation: Growth of log-L1 by split and ablation (`rfpp.losses.ablation`).
@@ -105,11 +98,7 @@ class Evaluation:
         return evaluation
 
     def write(self, folder: Path) -> Path:
-        """Write evaluation.json into `folder`; return its path.
-
-        Raises:
-            UserError: If the file cannot be written.
-        """
+        """Write evaluation.json into `folder`; return its path."""
         splits: dict[str, dict[str, Any]] = defaultdict(dict)
         for (split, predictor), values in self.means.items():
             splits[split][predictor] = {name: _numbers(estimate) for name, estimate in values.items()}

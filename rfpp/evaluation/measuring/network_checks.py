@@ -20,12 +20,6 @@ from rfpp.shards.views import select_views
 def ablation_growth(network: nn.Module, split: ShardSplit, device: torch.device, scenes: int) -> dict[str, float]:
     """Measure the relative growth of log-L1 by ablation (`rfpp.losses.ablation`).
 
-    Args:
-        network: RenderFormer++ or RenderFormer in evaluation mode on `device`.
-        split: Split with references.
-        device: Device of the network.
-        scenes: Maximum number of scenes; the first ones of the split are used.
-
     Returns:
         Growth by ablation; empty for fewer than two scenes.
     """
@@ -40,12 +34,6 @@ def transport_convergence(
     network: nn.Module, split: ShardSplit, device: torch.device, scenes: int
 ) -> dict[str, list[float]]:
     """Apply the transport operator more often than in training.
-
-    Args:
-        network: RenderFormer++ or RenderFormer in evaluation mode on `device`.
-        split: Split with references.
-        device: Device of the network.
-        scenes: Maximum number of scenes; the first ones of the split are used.
 
     Returns:
         Means over scenes after k = 0 … 2K applications: "residual", the mean |⁽ᵏ⁾F_s − T(⁽ᵏ⁾F_s + F_e)|² of the

@@ -33,7 +33,6 @@ class StoredScene:
     """A stored scene with all its views.
 
     Attributes:
-        sample: The scene as stored.
         reference: Linear radiance of the reference images, [V, 3, H, W].
         gbuffer: Channels that baselines and detailed metrics read, [V, 3 or 1, H, W] each.
     """
@@ -51,11 +50,7 @@ class StoredScene:
 
 
 class Predictor(ABC):
-    """Anything that predicts the views of a stored scene.
-
-    Attributes:
-        name: Name in tables.
-    """
+    """Anything that predicts the views of a stored scene."""
 
     name: str
 
@@ -65,12 +60,7 @@ class Predictor(ABC):
 
 
 class NetworkPredictor(Predictor):
-    """A network on the stored G-buffers.
-
-    Args:
-        network: Network in evaluation mode on `device`.
-        device: Device to run on.
-    """
+    """A network on the stored G-buffers."""
 
     name = MODEL
 

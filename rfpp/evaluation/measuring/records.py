@@ -14,9 +14,6 @@ class SceneRecord:
     """Scores of one predictor on one scene.
 
     Attributes:
-        split: Split of the scene.
-        scene: Key of the scene.
-        triangles: Number of triangles.
         objects: Number of objects, lights included.
         lights: Number of lights.
         predictor: "model" or the name of a baseline.

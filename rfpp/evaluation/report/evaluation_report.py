@@ -8,14 +8,12 @@ from pathlib import Path
 
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
-from markupsafe import Markup
 
 from rfpp.evaluation.measuring.confidence import Estimates
 from rfpp.evaluation.measuring.evaluation_file import Evaluation
 from rfpp.evaluation.measuring.number_text import ablation_text, best_value, interval_text, number_text
 from rfpp.evaluation.measuring.records import MODEL, SceneRecord
 from rfpp.evaluation.report.pictures import MAX_PIXELS, RANKED_BY, EmbeddedPicture, PicturedScene
-from rfpp.evaluation.report.plots import size_plot
 from rfpp.files import write_atomically
 from rfpp.imaging.panels import ERROR_FULL_SCALE, false_colours
 from rfpp.metrics.image import METRICS
@@ -43,14 +41,8 @@ class SplitSection:
     """The section of the page about one split.
 
     Attributes:
-        name: Name of the split.
-        scenes: Number of scenes.
-        means: Estimates by predictor and metric.
-        best: Best mean by metric.
         ablation: Growth of log-L1 by ablation; may be empty.
         transport: Residual and log-L1 after each application of the operator; may be empty.
-        sizes: Plot of the model over triangles, by metric.
-        pictured: Scenes with pictures, worst first.
     """
 
     name: str
@@ -59,24 +51,13 @@ class SplitSection:
     best: Mapping[str, float]
     ablation: Mapping[str, float]
     transport: Mapping[str, Sequence[float]]
-    sizes: Mapping[str, Markup]
     pictured: Sequence[PicturedScene]
 
 
 def write_report(
     evaluation: Evaluation, records: Sequence[SceneRecord], pictured: Sequence[PicturedScene], folder: Path
 ) -> Path:
-    """Write report.html into `folder`; return its path.
-
-    Args:
-        evaluation: Means and their source.
-        records: Records of all scenes and predictors.
-        pictured: Scenes with pictures.
-        folder: Folder to write to.
-
-    Raises:
-        UserError: If the file cannot be written.
-    """
+    """Write report.html into `folder`; return its path."""
     splits = dict.fromkeys(split for split, _ in evaluation.means)
     text = _PAGES.get_template("report.html").render(
         about=evaluation,
@@ -94,7 +75,6 @@ def _section(
 ) -> SplitSection:
     means = {predictor: values for (of, predictor), values in evaluation.means.items() if of == split}
     model = [record for record in records if (record.split, record.predictor) == (split, MODEL)]
-    triangles = [record.triangles for record in model]
     return SplitSection(
         name=split,
         scenes=len(model),
@@ -102,9 +82,5 @@ def _section(
         best={name: best_value(name, (v[name].mean for v in means.values())) for name in evaluation.definitions},
         ablation=evaluation.ablation.get(split, {}),
         transport=evaluation.transport.get(split, {}),
-        sizes={
-            name: size_plot(triangles, [record.values[name] for record in model], not METRICS[name].higher_is_better)
-            for name in evaluation.definitions
-        },
         pictured=sorted((s for s in pictured if s.record.split == split), key=lambda s: -s.rank),
     )

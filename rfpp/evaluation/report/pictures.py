@@ -37,9 +37,7 @@ class PicturedScene:
     """A scene with its scores, rank and pictures.
 
     Attributes:
-        record: The model's scores.
         rank: Rank in the split by `RANKED_BY`; 0 is the best.
-        scenes: Number of scenes in the split.
         pictures: First view by name: reference, prediction, error, direct light, albedo.
     """
 
@@ -62,9 +60,6 @@ def pictured_scenes(
 
     Args:
         records: The predictor's records of the whole split, in its order.
-        predictor: Predictor to render with.
-        split: Split of the scenes.
-        device: Device to render on.
     """
     order = ranking(records)
     pictured = []
@@ -90,11 +85,7 @@ def pictured_ranks(scenes: int) -> list[int]:
 
 
 def save_panel(scenes: Sequence[PicturedScene], path: Path) -> Path:
-    """Save a PNG with one row for the best, median and worst scene: reference | prediction | error | albedo.
-
-    Raises:
-        UserError: If the file cannot be written.
-    """
+    """Save a PNG with one row for the best, median and worst scene: reference | prediction | error | albedo."""
     rows = {place: scene for scene in scenes for place in scene.places}
     columns = {name: [scene.pictures[name] for scene in rows.values()] for name in _PANEL_COLUMNS}
     label = METRICS[RANKED_BY].label
@@ -111,8 +102,6 @@ class EmbeddedPicture:
 
     Attributes:
         uri: Data URI with the picture as lossless WebP.
-        width: Pixels.
-        height: Pixels.
     """
 
     uri: str

@@ -26,11 +26,7 @@ EXAMPLE = "example: python -m rfpp.evaluation.tables data/runs/*/*/evaluation"
 
 
 def result_tables(paths: Sequence[Path]) -> list[ResultTable]:
-    """Build Table 1, Table 2 and, if it has rows, a table of the other evaluations.
-
-    Raises:
-        UserError: See `read_evaluations`.
-    """
+    """Build Table 1, Table 2 and, if it has rows, a table of the other evaluations."""
     evaluations = read_evaluations(paths)
     tables = [paper_table(table, evaluations) for table in (TABLE_1, TABLE_2)]
     placed = {id(e) for table in tables for e in table.evaluations()}

@@ -24,11 +24,7 @@ _NOTES = (
 
 
 def write_table(table: ResultTable, folder: Path) -> list[Path]:
-    """Write `<name>.md` and `<name>.csv` into `folder`; return their paths.
-
-    Raises:
-        UserError: If a file cannot be written.
-    """
+    """Write `<name>.md` and `<name>.csv` into `folder`; return their paths."""
     text = write_atomically(folder / f"{table.name}.md", markdown(table).encode())
     return [text, write_rows(folder / f"{table.name}.csv", list(csv_rows(table)))]
 

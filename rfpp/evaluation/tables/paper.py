@@ -53,8 +53,6 @@ class PaperTable:
     """A table of the paper.
 
     Attributes:
-        name: Name of its files.
-        title: Caption.
         groups: Heading of each group of columns → splits that it averages.
         blocks: Blocks from top to bottom.
     """

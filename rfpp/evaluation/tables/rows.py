@@ -19,12 +19,7 @@ Groups = Mapping[str, tuple[str, ...]]
 
 @dataclass(frozen=True)
 class Column:
-    """One group of columns in one row.
-
-    Attributes:
-        means: Estimates by metric, over splits, data sets and seeds; empty if one of them is missing.
-        deviations: Standard deviation over seeds by metric; empty for a single seed.
-    """
+    """One group of columns in one row."""
 
     means: Estimates
     deviations: Mapping[str, float]
@@ -32,12 +27,7 @@ class Column:
 
 @dataclass(frozen=True)
 class Run:
-    """One training, or several that differ only in their seeds.
-
-    Attributes:
-        evaluations: Evaluations of each seed on each data set.
-        columns: Numbers for each group of columns.
-    """
+    """One training, or several that differ only in their seeds."""
 
     evaluations: Sequence[Evaluation]
     columns: Sequence[Column]
@@ -53,11 +43,9 @@ class Row:
     """A method in a table.
 
     Attributes:
-        label: Name in the table.
         runs: Our runs; empty if there are none.
         paper: The paper's numbers, by metric for each group of columns; None if the method is not in the paper.
         paper_steps: Optimizer steps in the paper, if known.
-        is_baseline: Whether the method is a trivial baseline.
     """
 
     label: str
@@ -69,15 +57,7 @@ class Row:
 
 @dataclass(frozen=True)
 class ResultTable:
-    """A table of rows in named blocks.
-
-    Attributes:
-        name: Name of its files.
-        title: Caption.
-        groups: Groups of columns.
-        metrics: Metrics in each group.
-        blocks: Headings and their rows.
-    """
+    """A table of rows in named blocks."""
 
     name: str
     title: str

@@ -9,7 +9,7 @@ import numpy as np
 
 from rfpp.errors import SceneError
 from rfpp.scene.mesh import Mesh
-from rfpp.scene.sampling.interval import Interval, freeze_intervals, uniform
+from rfpp.scene.sampling.interval import HasIntervals, Interval, uniform
 from rfpp.scene.sampling.open_region import OpenRegion
 from rfpp.scene.spec import Transform, rotation_matrix
 
@@ -33,8 +33,6 @@ class Background:
     """The panels of a background, without materials.
 
     Attributes:
-        kind: a name from `KINDS`.
-        meshes, transforms: one of each per panel, the floor first.
         open_region: the region in front of all panels.
     """
 
@@ -43,13 +41,9 @@ class Background:
     transforms: tuple[Transform, ...]
     open_region: OpenRegion
 
-    @property
-    def triangle_count(self) -> int:
-        return sum(map(len, self.meshes))
-
 
 @dataclass(frozen=True)
-class PanelJitter:
+class PanelJitter(HasIntervals):
     """Random displacement of a panel, in world units (RenderFormer's numbers, halved).
 
     Attributes:
@@ -65,9 +59,6 @@ class PanelJitter:
     floor_lift: Interval
     wall_offset: Interval
     tilt: Interval
-
-    def __post_init__(self) -> None:
-        freeze_intervals(self)
 
     def sample(self, rng: np.random.Generator, panel: str) -> Transform:
         """Draw the transform of a panel; its mesh is the unit grid of `panel_mesh`."""
@@ -88,8 +79,6 @@ class BackgroundSampler:
     """One of the four kinds of background, with independently displaced panels.
 
     Attributes:
-        weights: relative frequency of each kind.
-        jitter: displacement of panels, except of a box.
         box_jitter: displacement of a box's panels, small enough to keep it closed.
     """
 

@@ -6,13 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rfpp.scene.sampling.interval import Interval, freeze_intervals, uniform
-from rfpp.scene.sampling.open_region import OpenRegion, draw_target
+from rfpp.scene.sampling.interval import HasIntervals, Interval, uniform
+from rfpp.scene.sampling.open_region import OpenRegion
 from rfpp.scene.spec import Camera
 
 
 @dataclass(frozen=True)
-class CameraSampler:
+class CameraSampler(HasIntervals):
     """Cameras on a shell around the scene's centre, in front of the background.
 
     Attributes:
@@ -33,15 +33,12 @@ class CameraSampler:
     elevation: Interval
     clearance: float
 
-    def __post_init__(self) -> None:
-        freeze_intervals(self)
-
     def sample(self, rng: np.random.Generator, open_region: OpenRegion) -> tuple[Camera, ...]:
         """Draw `count` independent cameras."""
         return tuple(self._camera(rng, open_region) for _ in range(self.count))
 
     def _camera(self, rng: np.random.Generator, open_region: OpenRegion) -> Camera:
-        target = draw_target(rng, self.target_jitter)
+        target = uniform(rng, self.target_jitter, 3)
         position = open_region.draw_position(
             rng,
             target=target,

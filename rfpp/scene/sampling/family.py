@@ -11,7 +11,7 @@ from rfpp.errors import SceneError
 from rfpp.scene.mesh import Mesh, joined
 from rfpp.scene.sampling.backgrounds import Background, BackgroundSampler
 from rfpp.scene.sampling.cameras import CameraSampler
-from rfpp.scene.sampling.interval import Interval, freeze_intervals, uniform_integer
+from rfpp.scene.sampling.interval import HasIntervals, Interval, uniform_integer
 from rfpp.scene.sampling.lights import LightSampler
 from rfpp.scene.sampling.materials import MaterialSampler
 from rfpp.scene.sampling.objects.object_source import ObjectSource
@@ -20,21 +20,16 @@ from rfpp.scene.spec import Camera, Scene, SceneObject
 
 
 @dataclass(frozen=True)
-class TriangleBudget:
+class TriangleBudget(HasIntervals):
     """Numbers of objects and triangles of a scene.
 
     Attributes:
         scene: triangles, including background and lights.
-        objects: number of objects, without background and lights.
-        per_object: triangles of an object.
     """
 
     scene: Interval
     objects: Interval
     per_object: Interval
-
-    def __post_init__(self) -> None:
-        freeze_intervals(self)
 
     def sample(self, rng: np.random.Generator, taken: int) -> Int[np.ndarray, " objects"]:
         """Draw even triangle counts of the objects of a scene, given `taken` triangles of background and lights.
@@ -82,15 +77,6 @@ class SceneFamily:
 
     Geometry, materials and lights come from one rng and cameras from another, so that a scene can be rendered from new
     viewpoints. Every component has its own stream: changing one does not change the draws of the others.
-
-    Attributes:
-        name: of the family and its scenes.
-        objects: source of object meshes.
-        budget: number of objects and of triangles.
-        placement: of the objects.
-        materials: of the objects.
-        background_materials: of floor and walls.
-        backgrounds, lights, cameras: samplers of each.
     """
 
     name: str
@@ -110,8 +96,6 @@ class SceneFamily:
         scenes.
 
         Args:
-            scene_rng: Generator of everything but cameras.
-            camera_rng: Generator of cameras.
             held_out: Use objects that are held out for test scenes, instead of all others.
 
         Raises:
@@ -120,7 +104,7 @@ class SceneFamily:
         streams = scene_rng.spawn(7)
         background = self.backgrounds.sample(streams[0])
         lights = self.lights.sample(streams[1], background.open_region)
-        targets = self.budget.sample(streams[2], taken=background.triangle_count + len(lights))
+        targets = self.budget.sample(streams[2], taken=sum(map(len, background.meshes)) + len(lights))
         drawn = [self.objects.sample(streams[3], int(target), held_out) for target in targets]
         transforms = self.placement.sample(streams[4], [joined(parts) for parts in drawn], background.open_region)
         objects = [

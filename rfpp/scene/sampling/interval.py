@@ -25,17 +25,19 @@ def uniform_integer(rng: np.random.Generator, interval: Interval) -> int:
     return int(rng.integers(low, high, endpoint=True))
 
 
-def freeze_intervals(sampler: object) -> None:
-    """Check the `Interval` fields of a frozen dataclass and store them as tuples; called in `__post_init__`.
+class HasIntervals:
+    """Base class of frozen dataclasses that checks their `Interval` fields and stores them as tuples.
 
     Raises:
         SceneError: If a field is not two numbers in order; names class and field.
     """
-    for field in fields(sampler):  # type: ignore[arg-type]
-        if field.type != "Interval":
-            continue
-        value = tuple(getattr(sampler, field.name))
-        if len(value) != 2 or not value[0] <= value[1]:
-            name = f"{type(sampler).__name__}.{field.name}"
-            raise SceneError(f"{name}: {list(value)} is not an interval: write [low, high] with low <= high")
-        object.__setattr__(sampler, field.name, value)
+
+    def __post_init__(self) -> None:
+        for field in fields(self):  # type: ignore[arg-type]
+            if field.type != "Interval":
+                continue
+            value = tuple(getattr(self, field.name))
+            if len(value) != 2 or not value[0] <= value[1]:
+                name = f"{type(self).__name__}.{field.name}"
+                raise SceneError(f"{name}: {list(value)} is not an interval: write [low, high] with low <= high")
+            object.__setattr__(self, field.name, value)

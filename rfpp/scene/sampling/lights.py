@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from rfpp.scene.mesh import Mesh
-from rfpp.scene.sampling.interval import Interval, freeze_intervals, uniform, uniform_integer
-from rfpp.scene.sampling.open_region import OpenRegion, draw_target
+from rfpp.scene.sampling.interval import HasIntervals, Interval, uniform, uniform_integer
+from rfpp.scene.sampling.open_region import OpenRegion
 from rfpp.scene.spec import Material, SceneObject, Transform
 
 #: RenderFormer's light, an equilateral triangle with edges of 0.087.
@@ -16,7 +16,7 @@ TRIANGLE = ((-0.025, 0.025, 0.025), (0.025, -0.025, 0.025), (0.025, 0.025, -0.02
 
 
 @dataclass(frozen=True)
-class LightSampler:
+class LightSampler(HasIntervals):
     """White one-triangle objects on a shell above the scene, in front of the background.
 
     Attributes:
@@ -43,9 +43,6 @@ class LightSampler:
     spacing: float
     one_sided: bool = False
 
-    def __post_init__(self) -> None:
-        freeze_intervals(self)
-
     def sample(self, rng: np.random.Generator, open_region: OpenRegion) -> list[SceneObject]:
         """Draw the lights of a scene, named light_0, light_1, …"""
         count = uniform_integer(rng, self.count)
@@ -53,7 +50,7 @@ class LightSampler:
         for _ in range(count):
             position = open_region.draw_position(
                 rng,
-                target=draw_target(rng, self.target_jitter),
+                target=uniform(rng, self.target_jitter, 3),
                 distance=uniform(rng, self.distance),
                 elevation=self.elevation,
                 clearance=self.clearance,

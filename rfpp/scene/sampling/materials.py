@@ -7,12 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rfpp.scene.sampling.interval import Interval, freeze_intervals, uniform
+from rfpp.scene.sampling.interval import HasIntervals, Interval, uniform
 from rfpp.scene.spec import Material
 
 
 @dataclass(frozen=True)
-class MaterialSampler:
+class MaterialSampler(HasIntervals):
     """RenderFormer's material distribution, one material per object; all quantities are independent.
 
     Attributes:
@@ -29,9 +29,6 @@ class MaterialSampler:
     roughness: Interval
     roughness_shift: float
     smooth_shading: float
-
-    def __post_init__(self) -> None:
-        freeze_intervals(self)
 
     def sample(self, rng: np.random.Generator) -> Material:
         """Draw a non-emissive material that conserves energy."""

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from rfpp.errors import SceneError
-from rfpp.scene.sampling.interval import Interval, uniform
+from rfpp.scene.sampling.interval import Interval
 
 _ATTEMPTS = 2000
 
@@ -54,18 +54,10 @@ class OpenRegion:
             height, azimuth = rng.uniform(low, high), rng.uniform(0, 2 * np.pi)  # equal areas
             level = np.sqrt(1 - height**2)
             position = target + distance * np.array([level * np.cos(azimuth), level * np.sin(azimuth), height])
-            if (self.distances(position) > clearance).all() and not _any_within(spacing, position, others):
+            is_free = (np.linalg.norm(others - position, axis=1) > spacing).all()
+            if is_free and (self.distances(position) > clearance).all():
                 return position
         raise SceneError(
             f"no position {distance:.3g} from {np.round(target, 3).tolist()} lies in front of the background and "
             f"{spacing:g} from {len(others)} others: widen the elevation or lower clearance, spacing or count"
         )
-
-
-def draw_target(rng: np.random.Generator, jitter: Interval) -> np.ndarray:
-    """Draw the target of a camera or light: the scene's centre, displaced along each axis."""
-    return uniform(rng, jitter, 3)
-
-
-def _any_within(spacing: float, position: np.ndarray, others: np.ndarray) -> bool:
-    return bool((np.linalg.norm(others - position, axis=1) <= spacing).any())

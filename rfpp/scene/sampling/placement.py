@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from rfpp.errors import SceneError
 from rfpp.scene.mesh import Mesh
-from rfpp.scene.sampling.interval import Interval, freeze_intervals, uniform
+from rfpp.scene.sampling.interval import HasIntervals, Interval, uniform
 from rfpp.scene.sampling.open_region import OpenRegion
 from rfpp.scene.sampling.sizes import SizeSampler
 from rfpp.scene.spec import Transform, rotation_matrix
@@ -21,7 +21,7 @@ _SHRINKS = 60
 
 
 @dataclass(frozen=True)
-class Placement:
+class Placement(HasIntervals):
     """Rejection sampling of positions, the largest object first.
 
     Attributes:
@@ -41,9 +41,6 @@ class Placement:
     margin: float
     attempts: int
     shrink: float
-
-    def __post_init__(self) -> None:
-        freeze_intervals(self)
 
     def sample(self, rng: np.random.Generator, meshes: Sequence[Mesh], open_region: OpenRegion) -> list[Transform]:
         """Return one transform per normalised mesh, in order.
@@ -114,11 +111,7 @@ class Placement:
 
 @dataclass(frozen=True)
 class UprightPlacement(Placement):
-    """Placement of furniture: most objects rotate only about the vertical axis.
-
-    Attributes:
-        upright: probability of that.
-    """
+    """Placement of furniture: most objects rotate only about the vertical axis."""
 
     upright: float
 

@@ -8,7 +8,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float
 
-from rfpp.scene.sampling.interval import Interval, freeze_intervals, uniform
+from rfpp.scene.sampling.interval import HasIntervals, Interval, uniform
 
 
 @runtime_checkable
@@ -19,7 +19,7 @@ class SizeSampler(Protocol):
 
 
 @dataclass(frozen=True)
-class SharedSpace:
+class SharedSpace(HasIntervals):
     """Log-normal radii around a base radius that decreases with the number of objects.
 
     Attributes:
@@ -32,26 +32,16 @@ class SharedSpace:
     spread: float
     max_radius: float
 
-    def __post_init__(self) -> None:
-        freeze_intervals(self)
-
     def sample(self, rng: np.random.Generator, count: int) -> Float[np.ndarray, " count"]:
         base_radius = (3 * uniform(rng, self.fill) / (4 * np.pi * count)) ** (1 / 3)
         return np.minimum(base_radius * np.exp(rng.normal(0.0, self.spread, count)), self.max_radius)
 
 
 @dataclass(frozen=True)
-class UniformRadius:
-    """Uniform radii, independent of the number of objects.
-
-    Attributes:
-        radius: of the bounding spheres.
-    """
+class UniformRadius(HasIntervals):
+    """Uniform radii, independent of the number of objects."""
 
     radius: Interval
-
-    def __post_init__(self) -> None:
-        freeze_intervals(self)
 
     def sample(self, rng: np.random.Generator, count: int) -> Float[np.ndarray, " count"]:
         return uniform(rng, self.radius, count)

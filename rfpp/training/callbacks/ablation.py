@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping
 
 import lightning as L
@@ -11,23 +10,18 @@ from torch import Tensor
 
 from rfpp.batch import RaggedBatch
 from rfpp.imaging.radiance import log_encode
-from rfpp.losses.ablation import OTHER_TOKENS, AblationErrors
+from rfpp.losses.ablation import AblationErrors
 
 
 class AblationMonitor(L.Callback):
     """Logs the relative growth of the validation error per ablation (`rfpp.losses.ablation`).
 
-    Metrics: `ablation/other_tokens`, `ablation/other_encoded_tokens` and `ablation/no_operator`. Warns once if the
-    network hardly uses its scene tokens. With several processes, only rank 0's scenes are measured.
-
-    Args:
-        scenes: Maximum number of validation scenes, besides the first.
-        min_growth: Growth with another scene's tokens below which the callback warns.
+    Metrics: `ablation/other_tokens`, `ablation/other_encoded_tokens` and `ablation/no_operator`. With several
+    processes, only rank 0's scenes are measured.
     """
 
-    def __init__(self, scenes: int, min_growth: float):
-        self.scenes, self.min_growth = scenes, min_growth
-        self._warned = False
+    def __init__(self, scenes: int):
+        self.scenes = scenes
 
     def on_validation_start(self, trainer: L.Trainer, module: L.LightningModule) -> None:
         self._errors = AblationErrors()
@@ -54,14 +48,3 @@ class AblationMonitor(L.Callback):
         for logger in trainer.loggers:
             # Lightning counts steps from 0
             logger.log_metrics({f"ablation/{name}": value for name, value in growth.items()}, trainer.global_step - 1)
-        self.warn_if_unused(growth[OTHER_TOKENS])
-
-    def warn_if_unused(self, growth: float) -> None:
-        """Warn once if the error hardly grows with another scene's tokens."""
-        if growth < self.min_growth and not self._warned:
-            self._warned = True
-            warnings.warn(
-                f"the network hardly uses its scene tokens: with those of another scene, its error grows by "
-                f"{growth:.1%}",
-                stacklevel=2,
-            )

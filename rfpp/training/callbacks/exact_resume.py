@@ -55,7 +55,6 @@ def restart_after(fit_loop: dict[str, Any], step: int, accumulate: int) -> None:
     number per step changes with the number of ranks. Training has one epoch, see GlobalBatches.
 
     Args:
-        fit_loop: State of Lightning's fit loop, modified.
         step: Optimizer steps before the checkpoint.
         accumulate: Batches per step after it.
     """

@@ -24,9 +24,6 @@ class FiniteGradients(L.Callback):
 
     Ranks need no agreement: averaging spreads a non-finite gradient to all of them. Each rank writes the batches of
     its device to `step-00000012-rank0.json`.
-
-    Args:
-        folder: Folder of these files.
     """
 
     def __init__(self, folder: str):

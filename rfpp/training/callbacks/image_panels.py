@@ -24,10 +24,6 @@ class ImagePanels(L.Callback):
 
     `panels-000150.png`, after step 150: reference, prediction, signed error, and albedo if the network reads it.
     `bounces-000150.png`: the image decoded after each application of the transport operator, if the network has one.
-
-    Args:
-        folder: Folder of the sheets.
-        scenes: Number of validation scenes, the first view of each.
     """
 
     def __init__(self, folder: str, scenes: int):
@@ -68,8 +64,6 @@ def pictures(network: torch.nn.Module, batch: RaggedBatch, radiance: Tensor) -> 
     """Return the pictures of a batch's first scene, from its first camera.
 
     Args:
-        network: Network in evaluation mode.
-        batch: Batch of one or more scenes.
         radiance: Prediction [B, V, 3, H, W].
     """
     reference, prediction = _image(batch.image), _image(radiance)

@@ -24,11 +24,9 @@ class ResumableCheckpoints(Checkpoint):
     resumed run repeats neither. Stop signals are handled there too: ranks agree, save, and raise StoppedError.
 
     Args:
-        folder: Folder of the run's checkpoints.
         every_n_steps: Steps between checkpoints; the last step is always saved.
         every_n_minutes: Maximum time between checkpoints, by the first rank's clock, unless saving took more than a
             twentieth of it; None: by steps only.
-        keep: Number of checkpoints to keep.
     """
 
     def __init__(self, folder: str, every_n_steps: int, every_n_minutes: float | None, keep: int):

@@ -1,4 +1,4 @@
-"""Log throughput, memory, skipped scenes and machine load."""
+"""Log throughput, memory and skipped scenes."""
 
 from __future__ import annotations
 
@@ -12,11 +12,8 @@ import torch
 from torch import Tensor
 
 from rfpp.batch import RaggedBatch
-from rfpp.training.callbacks.machine_load import machine_load
-from rfpp.training.flops import matrix_product_rate, training_flops
+from rfpp.training.flops import published_peak, training_flops
 
-#: Data type of matrix products by the beginning of Lightning's precision; float32 otherwise.
-MATRIX_DTYPES = {"bf16": torch.bfloat16, "16-": torch.float16}
 #: Steps between two batches whose floating-point operations are counted, which takes a forward pass.
 COUNT_FLOPS_EVERY = 500
 GIB = 2**30
@@ -26,32 +23,27 @@ class StepStatistics(L.Callback):
     """Logs statistics of training, averaged over windows of steps without validation.
 
     `throughput/`: steps, scenes, images, triangles and tokens (scene tokens and ray bundles) per second over all
-    devices, `data_wait_fraction`, and `flop_utilisation`: operations of the network's forward and backward passes, as
-    a fraction of those that the device achieves in large matrix products in the same precision. The LPIPS network does
-    not count, so its time lowers the fraction.
+    devices, `data_wait_fraction` and, on GPUs whose peak rate is listed, `flop_utilization` (MFU): operations of the
+    network's forward and backward passes as a fraction of the published rate. LPIPS does not count.
     `memory/`: GiB. On a GPU `allocated`, and `peak` in the window, of PyTorch's allocator; else `resident` memory of
     the process without its loaders.
     `data/skipped`: scenes skipped since the run was started or resumed, over all devices.
-    `system/`: load of the first rank's machine, with MLflow's names.
-
-    Args:
-        every_n_steps: Length of a window.
     """
 
     def __init__(self, every_n_steps: int):
         self.every_n_steps = every_n_steps
 
     def on_train_start(self, trainer: L.Trainer, module: L.LightningModule) -> None:
-        dtype = next((t for name, t in MATRIX_DTYPES.items() if trainer.precision.startswith(name)), torch.float32)
-        self._peak_rate = matrix_product_rate(trainer.strategy.root_device, dtype)
+        dtype = torch.bfloat16 if trainer.precision.startswith("bf16") else torch.float32
+        self._peak_rate = published_peak(trainer.strategy.root_device, dtype)
         self._counted_at = None
         self._skipped = 0
-        machine_load()  # CPU utilization counts from here
         self._begin_window()
 
     def on_train_batch_start(self, trainer: L.Trainer, module: L.LightningModule, batch: RaggedBatch, _: int) -> None:
         self._waited += time.perf_counter() - self._batch_end
-        if self._counted_at is None or trainer.global_step - self._counted_at >= COUNT_FLOPS_EVERY:
+        is_due = self._counted_at is None or trainer.global_step - self._counted_at >= COUNT_FLOPS_EVERY
+        if self._peak_rate and is_due:
             self._counted_at = trainer.global_step
             begin = time.perf_counter()
             with trainer.precision_plugin.forward_context():
@@ -85,15 +77,12 @@ class StepStatistics(L.Callback):
                 "throughput/steps_per_s": steps / elapsed,
                 **rates,
                 "throughput/data_wait_fraction": self._waited / elapsed,
-                "throughput/flop_utilisation": self._flops * self._batches / elapsed / self._peak_rate,
                 **_memory(trainer.strategy.root_device),
             }
+            if self._peak_rate:
+                values["throughput/flop_utilization"] = self._flops * self._batches / elapsed / self._peak_rate
             module.log_dict(values, batch_size=1)
             module.log("data/skipped", float(self._skipped), sync_dist=True, reduce_fx="sum", batch_size=1)
-            if trainer.is_global_zero:
-                load = {f"system/{name}": round(value, 1) for name, value in machine_load().items()}
-                for logger in trainer.loggers:
-                    logger.log_metrics(load, trainer.global_step - 1)  # Lightning counts steps from 0
             self._begin_window()
         self._batch_end = time.perf_counter()
 

@@ -27,9 +27,6 @@ class Journal:
     resumed from a checkpoint repeats the steps after it exactly; the journal ignores repeated steps. An incomplete
     last line is removed.
 
-    Args:
-        path: File of the journal, created with its folder if missing.
-
     Raises:
         UserError: If the file cannot be written.
     """

@@ -23,12 +23,7 @@ class MlflowLogger(RunLogger):
     the server has not received at the end is sent by `python -m rfpp.training.tracking <run folder>`.
 
     Args:
-        experiment_name: Experiment in MLflow.
-        run_name: Name of the run in MLflow.
-        run_dir: Folder of the run.
         folder: Folder of the store if there is no server.
-        tracking_uri: URI of an MLflow server, or None.
-        parent: Name of the parent run, created if missing, or None.
         patience: Seconds to wait for MLflow at the start, for the run's id, and at the end.
     """
 
@@ -39,12 +34,11 @@ class MlflowLogger(RunLogger):
         run_dir: str | Path,
         folder: str | Path,
         tracking_uri: str | None,
-        parent: str | None,
         patience: float,
     ):
         super().__init__(run_name, run_dir)
         self.patience = patience
-        self._new_run = partial(MlflowRun.new, folder, tracking_uri, experiment_name, run_name, parent)
+        self._new_run = partial(MlflowRun.new, folder, tracking_uri, experiment_name, run_name)
 
     def _begin(self) -> Journal:
         file = self.run_dir / RUN_FILE

@@ -43,12 +43,7 @@ class MlflowRun:
 
     Attributes:
         folder_id: Id of the run folder, the value of FOLDER_TAG.
-        tracking_uri: URI of a server or a database.
         artifact_location: Folder of the experiment's artifacts; None if the server decides.
-        experiment_name: Experiment in MLflow.
-        run_name: Name of the run, not unique.
-        parent: Name of the parent run, or None.
-        run_id: MLflow's id; None until the run has been created.
         sent: Bytes of the journal that MLflow has received.
     """
 
@@ -57,14 +52,11 @@ class MlflowRun:
     artifact_location: str | None
     experiment_name: str
     run_name: str
-    parent: str | None
     run_id: str | None = None
     sent: int = 0
 
     @classmethod
-    def new(
-        cls, folder: str | Path, tracking_uri: str | None, experiment_name: str, run_name: str, parent: str | None
-    ) -> MlflowRun:
+    def new(cls, folder: str | Path, tracking_uri: str | None, experiment_name: str, run_name: str) -> MlflowRun:
         """Describe a run that MLflow does not have yet: on a server, or in the store in `folder`."""
         on_server = tracking_uri is not None and tracking_uri.startswith(("http://", "https://", "databricks"))
         if not on_server:  # by default MLflow would write artifacts to the current directory
@@ -75,16 +67,11 @@ class MlflowRun:
             artifact_location=None if on_server else (Path(folder).resolve() / "artifacts").as_uri(),
             experiment_name=experiment_name,
             run_name=run_name,
-            parent=parent,
         )
 
     @classmethod
     def load(cls, path: Path) -> MlflowRun:
-        """Read the file of a run folder.
-
-        Raises:
-            UserError: If the file is missing or damaged.
-        """
+        """Read the file of a run folder."""
         try:
             return cls(**json.loads(path.read_bytes()))
         except (OSError, ValueError, TypeError) as error:
@@ -106,22 +93,4 @@ class MlflowRun:
         if found := client.search_runs([experiment], f"tags.{FOLDER_TAG} = '{self.folder_id}'", max_results=1):
             return replace(self, run_id=found[0].info.run_id)
         tags = {FOLDER_TAG: self.folder_id, "host": socket.gethostname()}
-        if self.parent is not None:
-            tags["mlflow.parentRunId"] = _parent_run(client, experiment, self.parent)
         return replace(self, run_id=client.create_run(experiment, tags=tags, run_name=self.run_name).info.run_id)
-
-
-def _parent_run(client: MlflowClient, experiment: str, name: str) -> str:
-    """Return the id of the parent run with this name, creating it if missing."""
-    query = f"tags.holds_runs = 'true' and attributes.run_name = '{name}'"
-
-    def oldest() -> str | None:
-        found = client.search_runs([experiment], query, max_results=1, order_by=["attributes.start_time"])
-        return found[0].info.run_id if found else None
-
-    if (parent := oldest()) is not None:
-        return parent
-    mine = client.create_run(experiment, run_name=name, tags={"holds_runs": "true"}).info.run_id
-    if (parent := oldest()) != mine:  # another run of the sweep created it at the same time
-        client.delete_run(mine)
-    return parent

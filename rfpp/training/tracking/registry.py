@@ -13,11 +13,9 @@ FOLDER, CHECKPOINT = "model", "checkpoint.ckpt"
 
 
 def checkpoint_file(checkpoint: str, tracking_uri: str | None, folder: Path) -> str:
-    """Resolve `models:/<name>/<version>`, `models:/<name>/latest` or `models:/<name>@<alias>` to a file.
+    """Resolve `models:/<name>/<version>` or `models:/<name>/latest` to a file. Other strings are returned unchanged.
 
     Args:
-        checkpoint: Name of a registered model; any other string is returned unchanged.
-        tracking_uri: URI of the MLflow server, or None for the store in `folder`.
         folder: Folder to download to, as `registered/<name>/<version>/checkpoints`.
 
     Raises:
@@ -26,10 +24,8 @@ def checkpoint_file(checkpoint: str, tracking_uri: str | None, folder: Path) -> 
     """
     if not checkpoint.startswith("models:/"):
         return checkpoint
-    if not (parts := re.fullmatch(r"models:/([^/@]+)(?:/(\d+|latest)|@([^/@]+))", checkpoint)):
-        raise CheckpointError(
-            f"{checkpoint}: write models:/<name>/<version>, models:/<name>/latest or models:/<name>@<alias>"
-        )
+    if not (parts := re.fullmatch(r"models:/([^/@]+)/(\d+|latest)", checkpoint)):
+        raise CheckpointError(f"{checkpoint}: write models:/<name>/<version> or models:/<name>/latest")
     from mlflow.exceptions import MlflowException
 
     from rfpp.training.tracking.mlflow_run import store_uri
@@ -43,12 +39,6 @@ def checkpoint_file(checkpoint: str, tracking_uri: str | None, folder: Path) -> 
 
 def log_results(tracking_uri: str, run_id: str, metrics: dict[str, float], files: dict[Path, str]) -> None:
     """Log metrics and files to a finished run.
-
-    Args:
-        tracking_uri: URI of the MLflow server or store.
-        run_id: MLflow's id of the run.
-        metrics: Values by name.
-        files: Artifact folder of each file.
 
     Raises:
         UserError: If MLflow does not have the run, or cannot be reached.
@@ -68,7 +58,7 @@ def log_results(tracking_uri: str, run_id: str, metrics: dict[str, float], files
         raise UserError(first_line(error)) from error
 
 
-def _download(store: str, name: str, version: str | None, alias: str | None, folder: Path) -> Path:
+def _download(store: str, name: str, version: str, folder: Path) -> Path:
     """Download a version's checkpoint, completely or not at all, unless `folder` holds it; return its path."""
     import mlflow
     from mlflow.exceptions import MlflowException
@@ -76,9 +66,7 @@ def _download(store: str, name: str, version: str | None, alias: str | None, fol
     from rfpp.training.tracking.mlflow_run import connect
 
     client = connect(store)
-    if alias is not None:
-        found = client.get_model_version_by_alias(name, alias)
-    elif version != "latest":
+    if version != "latest":
         found = client.get_model_version(name, version)
     elif versions := client.search_model_versions(f"name = '{name}'"):
         found = max(versions, key=lambda candidate: int(candidate.version))

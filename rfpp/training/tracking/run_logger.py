@@ -27,10 +27,6 @@ class RunLogger(Logger):
 
     Metrics are also written to metrics.csv, at each checkpoint and at the end. A run that resumes with
     `logger=mlflow` sends its whole journal to MLflow.
-
-    Args:
-        run_name: Name of the run in tables.
-        run_dir: Folder of the run.
     """
 
     def __init__(self, run_name: str, run_dir: str | Path):

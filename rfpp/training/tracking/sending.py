@@ -31,9 +31,6 @@ class Sender(threading.Thread):
 
     Records sent by a process that died before it noted them are sent again. This changes nothing: MLflow ignores a
     repeated metric (key, value, step, time), and overwrites everything else with the same value.
-
-    Args:
-        run_dir: Folder of the run.
     """
 
     def __init__(self, run_dir: Path):

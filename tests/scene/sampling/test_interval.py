@@ -6,16 +6,13 @@ import numpy as np
 import pytest
 
 from rfpp.errors import SceneError
-from rfpp.scene.sampling.interval import Interval, freeze_intervals, uniform_integer
+from rfpp.scene.sampling.interval import HasIntervals, Interval, uniform_integer
 
 
 @dataclass(frozen=True)
-class Sampler:
+class Sampler(HasIntervals):
     size: Interval
     other: object = None
-
-    def __post_init__(self):
-        freeze_intervals(self)
 
 
 def test_any_sequence_becomes_a_tuple_and_other_fields_stay():

@@ -21,7 +21,7 @@ class Clock:
 def clock(monkeypatch):
     clock = Clock()
     monkeypatch.setattr(step_statistics, "time", clock)
-    monkeypatch.setattr(step_statistics, "matrix_product_rate", lambda device, dtype: 1000.0)
+    monkeypatch.setattr(step_statistics, "published_peak", lambda device, dtype: 1000.0)
 
     def counted(network, batch):
         clock.now += 50  # a forward pass, which is not training time
@@ -55,7 +55,7 @@ def test_rates_of_a_window_exclude_the_time_of_counting_operations(clock):
     assert values == pytest.approx({
         "throughput/steps_per_s": 0.4, "throughput/scenes_per_s": 0.8, "throughput/images_per_s": 1.6,
         "throughput/triangles_per_s": 3.6, "throughput/tokens_per_s": (10 + 4 * 4) * 0.4,
-        "throughput/data_wait_fraction": 0.2, "throughput/flop_utilisation": 80 * 0.4 / 1000, "data/skipped": 0,
+        "throughput/data_wait_fraction": 0.2, "throughput/flop_utilization": 80 * 0.4 / 1000, "data/skipped": 0,
     })  # fmt: skip
 
 
@@ -83,10 +83,8 @@ def test_skipped_scenes_are_counted_from_the_start(clock):
     assert train(clock, StepStatistics(every_n_steps=1), trainer, 4)["data/skipped"] == 4 * 3
 
 
-def test_the_first_rank_logs_the_machine_s_load_of_each_window(clock):
-    for rank in (0, 1):
-        trainer = trainer_with(is_global_zero=rank == 0)
-        train(clock, StepStatistics(every_n_steps=2), trainer, 4)
-        logged = trainer.loggers[0].logged
-        assert [step for step, _ in logged] == ([1, 3] if rank == 0 else [])
-        assert all(load["system/system_memory_usage_percentage"] > 0 for _, load in logged)
+def test_utilization_is_omitted_where_no_peak_rate_is_published(clock, monkeypatch):
+    monkeypatch.setattr(step_statistics, "published_peak", lambda device, dtype: None)
+    values = train(clock, StepStatistics(every_n_steps=4), trainer_with(), 4)
+    assert "throughput/flop_utilization" not in values
+    assert clock.now == 110  # nothing was counted

@@ -26,7 +26,6 @@ class Catalogue:
     """The catalogue of one archive.
 
     Attributes:
-        sha256: hash of the archive.
         attribution: name, license, creators and provider, as stated in the catalogue.
         models: id of the piece of furniture → name of its model's file in the archive.
     """
@@ -59,13 +58,7 @@ class Catalogue:
 
 @dataclass(frozen=True)
 class FurnitureObjects(LibraryObjects):
-    """Each piece of furniture in some .sh3f files is one object, named by its file and its id in the catalogue.
-
-    Attributes:
-        library_name: name of the library.
-        folder: of the files; needed only for preparation.
-        files: their names, without suffix.
-    """
+    """Each piece of furniture in some .sh3f files is one object, named by its file and its id in the catalogue."""
 
     library_name: str
     folder: str

@@ -37,12 +37,8 @@ class Prepared(StrictModel):
     """An original that became an object.
 
     Attributes:
-        id: its path in the folder, or its uid.
-        sha256: hash of the original file.
         mesh_sha256: hash of the prepared mesh's file.
-        faces_before, faces: number of faces of the original and of the prepared mesh.
         watertight: every edge of the original touches two faces.
-        parts: number of parts with their own materials.
     """
 
     id: str
@@ -82,13 +78,7 @@ class Index(StrictModel):
 
 @dataclass(frozen=True, eq=False)
 class Library:
-    """A prepared library.
-
-    Attributes:
-        root: its folder.
-        index: its content.
-        hash: sha256 of library.json, which contains the hash of every mesh.
-    """
+    """A prepared library."""
 
     root: Path
     index: Index

@@ -42,11 +42,6 @@ class Record(StrictModel):
 def prepare(source: LibraryObjects, map: Map, progress: Callable[[int, int], None]) -> Library:
     """Build the library of a source, or its missing and changed objects.
 
-    Args:
-        source: Source of the meshes.
-        map: Applies a job to items.
-        progress: Called with (finished originals, all originals).
-
     Raises:
         UserError: If originals cannot be fetched, a file cannot be written, or fewer than two objects result.
     """

@@ -55,13 +55,7 @@ class Original:
 
 @dataclass(frozen=True)
 class LibraryObjects(ABC):
-    """Objects of a library built by `rfpp.scene.sampling.objects.library_building.prepare`.
-
-    Attributes:
-        root: folder of libraries.
-        held_out: share of the objects reserved for test scenes.
-        preparation: of the meshes.
-    """
+    """Objects of a library built by `rfpp.scene.sampling.objects.library_building.prepare`."""
 
     root: str
     held_out: float

@@ -39,12 +39,7 @@ class ObjectSource(Protocol):
 
 @dataclass(frozen=True)
 class MixedObjects:
-    """A random choice between several sources for each object.
-
-    Attributes:
-        sources: by any name.
-        shares: relative frequency of each source.
-    """
+    """A random choice between several sources for each object."""
 
     sources: Mapping[str, ObjectSource]
     shares: Mapping[str, float]

@@ -46,12 +46,7 @@ Reason = Literal[
 
 
 class RejectionError(Exception):
-    """A mesh that cannot be an object of a scene.
-
-    Attributes:
-        reason: category, to be counted.
-        detail: description.
-    """
+    """A mesh that cannot be an object of a scene."""
 
     def __init__(self, reason: Reason, detail: str) -> None:
         super().__init__(f"{reason}: {detail}")
@@ -65,8 +60,6 @@ class PreparedMesh:
 
     Attributes:
         parts: together normalised and with at most `max_faces` faces, facing outwards where watertight.
-        faces_before: number of faces in the file.
-        watertight: every edge of the original touches two faces.
     """
 
     parts: tuple[Mesh, ...]
@@ -76,16 +69,7 @@ class PreparedMesh:
 
 @dataclass(frozen=True)
 class Preparation:
-    """Preparation of imported meshes.
-
-    Attributes:
-        max_faces: meshes with more faces are decimated.
-        min_faces: meshes with fewer faces after clean-up are rejected.
-        non_watertight: "reject" or "keep" meshes with holes, open edges or edges of three faces.
-        most_parts: maximum number of parts of an object; with more than one, an object is split by material, the
-            largest materials stay, and the others join the nearest of them.
-        up: up axis of the files, "y" or "z"; prepared objects stand on z.
-    """
+    """Preparation of imported meshes."""
 
     max_faces: int
     min_faces: int

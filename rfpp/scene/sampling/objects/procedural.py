@@ -44,15 +44,7 @@ _LEAST_FILL = 0.02
 
 @dataclass(frozen=True)
 class ProceduralObjects:
-    """`pool` closed solids, the last of which are held out for test scenes.
-
-    Attributes:
-        kinds: names from `KINDS`, equally frequent.
-        pool: number of different objects.
-        held_out: share held out for test scenes.
-        stretched: probability of scaling along the axes.
-        deformed: probability of a twist, taper or bend.
-    """
+    """`pool` closed solids, the last of which are held out for test scenes."""
 
     kinds: Sequence[str]
     pool: int

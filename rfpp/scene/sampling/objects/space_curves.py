@@ -16,7 +16,6 @@ class Curve:
 
     Attributes:
         points: [S, 3], S at least 5; a closed curve does not repeat the first.
-        closed: whether the last point is followed by the first.
     """
 
     points: np.ndarray
