@@ -39,7 +39,7 @@ def tone_mapped(radiance: Radiance, stops: float = 0.0) -> UInt8[np.ndarray, "h 
 def error_map(prediction: Radiance, reference: Radiance) -> UInt8[np.ndarray, "h w 3"]:
     """Return the mean error of clamp(log2(1 + I), 0, 1): black is 0, pale yellow 0.25 and more, or NaN."""
     error = (perceptual(_tensor(prediction)) - perceptual(_tensor(reference))).abs().mean(dim=-1).numpy()
-    return false_colours(np.nan_to_num(error / ERROR_FULL_SCALE, nan=1.0))
+    return false_colors(np.nan_to_num(error / ERROR_FULL_SCALE, nan=1.0))
 
 
 def signed_error_map(prediction: Radiance, reference: Radiance) -> UInt8[np.ndarray, "h w 3"]:
@@ -48,12 +48,12 @@ def signed_error_map(prediction: Radiance, reference: Radiance) -> UInt8[np.ndar
     return _interpolated(error / ERROR_FULL_SCALE, -1.0, _DIVERGING)
 
 
-def false_colours(share: Float[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h w 3"]:
+def false_colors(share: Float[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h w 3"]:
     """Return numbers in [0, 1] as colors from black to pale yellow."""
     return _interpolated(share, 0.0, _SCALE)
 
 
-def distinct_colours(ids: Int[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h w 3"]:
+def distinct_colors(ids: Int[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h w 3"]:
     """Return a color for each number, unlike those of its neighbors; black for negative numbers."""
     hue = (ids * 0.6180339887498949)[..., None] * 6 + np.array([0, 4, 2])  # steps of the golden ratio never repeat
     pure = np.clip(np.abs(hue % 6 - 3) - 1, 0, 1)

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from rfpp.imaging.exr import compact, write_exr
-from rfpp.imaging.panels import error_map, false_colours, panel, save_picture
+from rfpp.imaging.panels import error_map, false_colors, panel, save_picture
 from rfpp.imaging.tone_maps import ToneMap
 from rfpp.metrics.flip import flip
 from rfpp.raycast.first_hit import CHANNELS, COLOR_CHANNELS
@@ -43,7 +43,7 @@ def write_comparison(
         "path-traced reference": [tone_map(reference)],
         "prediction": [tone_map(image)],
         "error": [error_map(image, reference)],
-        f"FLIP, mean {flip_map.mean():.3f}": [false_colours(flip_map)],
+        f"FLIP, mean {flip_map.mean():.3f}": [false_colors(flip_map)],
     }
     for name, other in (others or {}).items():
         columns |= {name: [tone_map(other)], f"error of {name}": [error_map(other, reference)]}

@@ -39,7 +39,7 @@ def sample_panel(sample: SceneSample) -> UInt8[np.ndarray, "h w 3"]:
         "specular": [panels.tone_mapped(channel(g, material, f, "specular")) for g, _, f in views],
         "normal": [_normal_colours(g) for g, _, _ in views],
         "depth (near is bright)": [_depth_colours(g) for g, _, _ in views],
-        "objects": [panels.distinct_colours(object_ids(g, triangles)) for g, _, _ in views],
+        "objects": [panels.distinct_colors(object_ids(g, triangles)) for g, _, _ in views],
         "triangles": [
             _wireframe(triangles, pose, fov, *image.shape[:2], caster)
             for (_, pose, fov), image in zip(views, sample.images, strict=True)
@@ -97,7 +97,7 @@ def _depth_colours(gbuffer: GBuffer) -> UInt8[np.ndarray, "h w 3"]:
     depths = gbuffer.depth[gbuffer.hit]
     near, far = (depths.min(), depths.max()) if len(depths) else (0.0, 0.0)
     share = (far - gbuffer.depth) / max(far - near, 1e-6)
-    return panels.false_colours(np.where(gbuffer.hit, 0.1 + 0.9 * share, 0))
+    return panels.false_colors(np.where(gbuffer.hit, 0.1 + 0.9 * share, 0))
 
 
 def _contents(triangles: SceneTriangles) -> str:

@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from rfpp.imaging.panels import false_colours
+from rfpp.imaging.panels import false_colors
 from rfpp.imaging.tone_maps import ToneMap
 from rfpp.inference.gbuffers import GBufferSource
 from rfpp.inference.light_mixing import LightMixer
@@ -78,7 +78,7 @@ def _colored(pixels: Float[np.ndarray, "h w c"], name: str, tone_map: ToneMap) -
     if name in COLOR_CHANNELS:
         return tone_map(pixels)
     if CHANNELS[name] == 1:
-        return false_colours(pixels[..., 0] / max(pixels.max(), 1e-9) if name == "depth" else pixels[..., 0])
+        return false_colors(pixels[..., 0] / max(pixels.max(), 1e-9) if name == "depth" else pixels[..., 0])
     hit = (pixels != 0).any(axis=-1, keepdims=True)
     return np.where(hit, np.clip(127.5 * (pixels + 1), 0, 255), 0).astype(np.uint8)
 

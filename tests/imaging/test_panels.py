@@ -5,8 +5,9 @@ from PIL import Image
 
 from rfpp.imaging.panels import (
     contact_sheet,
-    distinct_colours,
+    distinct_colors,
     error_map,
+    false_colors,
     panel,
     save_picture,
     signed_error_map,
@@ -19,7 +20,7 @@ def test_errors_are_brighter_and_nan_is_brightest() -> None:
     prediction[0, 1:] = [[0.1] * 3, [1.0] * 3, [np.nan] * 3]
     brightness = error_map(prediction, reference).sum(axis=-1)[0]
     assert brightness[0] < 10 < brightness[1] < brightness[2] == brightness[3]
-    scale = false_colours(np.linspace(0, 1, 50, dtype=np.float32)[None])[0].astype(int).sum(axis=-1)
+    scale = false_colors(np.linspace(0, 1, 50, dtype=np.float32)[None])[0].astype(int).sum(axis=-1)
     assert (np.diff(scale) > 0).all()
     signed = signed_error_map(prediction, reference)[0].tolist()
     assert signed[0] == [247] * 3 and signed[2] == [178, 24, 43] and signed[3] == [0] * 3
@@ -56,7 +57,7 @@ def test_a_contact_sheet_is_about_square_and_in_order() -> None:
 
 
 def test_colors_of_objects_are_distinct_and_negative_numbers_are_black() -> None:
-    colors = distinct_colours(np.arange(-1, 100)[None])[0].astype(int)
+    colors = distinct_colors(np.arange(-1, 100)[None])[0].astype(int)
     assert colors[0].tolist() == [0, 0, 0]
     assert len(np.unique(colors[1:], axis=0)) == 100
     assert np.abs(np.diff(colors[1:], axis=0)).max(axis=1).min() > 50

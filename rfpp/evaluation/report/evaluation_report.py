@@ -15,7 +15,7 @@ from rfpp.evaluation.measuring.number_text import ablation_text, best_value, int
 from rfpp.evaluation.measuring.records import MODEL, SceneRecord
 from rfpp.evaluation.report.pictures import MAX_PIXELS, RANKED_BY, EmbeddedPicture, PicturedScene
 from rfpp.files import write_atomically
-from rfpp.imaging.panels import ERROR_FULL_SCALE, false_colours
+from rfpp.imaging.panels import ERROR_FULL_SCALE, false_colors
 from rfpp.metrics.image import METRICS
 
 REPORT_FILE = "report.html"
@@ -64,7 +64,7 @@ def write_report(
         splits=[_section(split, evaluation, records, pictured) for split in splits],
         ranked_by=RANKED_BY,
         max_pixels=MAX_PIXELS,
-        error_scale=false_colours(np.broadcast_to(np.linspace(0, 1, 128), (8, 128))),
+        error_scale=false_colors(np.broadcast_to(np.linspace(0, 1, 128), (8, 128))),
         error_full_scale=ERROR_FULL_SCALE,
     )
     return write_atomically(folder / REPORT_FILE, text.encode("utf-8", "replace"))  # names may hold lone surrogates
