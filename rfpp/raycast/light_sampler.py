@@ -5,7 +5,7 @@ from __future__ import annotations
 from copy import copy
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from rfpp.errors import UserError
 from rfpp.raycast.ggx import lobe_albedo
