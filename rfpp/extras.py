@@ -12,6 +12,7 @@ EXTRAS = {
     "manifold3d": "data",
     "skimage": "data",
     "matplotlib": "evaluation",
+    "mitsuba": "outside",
     "mlflow": "tracking",
     "starlette": "serve",
     "uvicorn": "serve",

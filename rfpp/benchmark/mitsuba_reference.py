@@ -8,7 +8,6 @@ import numpy as np
 from jaxtyping import Float
 from scipy.ndimage import binary_dilation
 
-from rfpp.errors import MissingDependencyError
 from rfpp.raycast.raycast import RayCaster
 from rfpp.scene.camera import pixel_plane
 from rfpp.scene.packed import PackedScene
@@ -28,14 +27,9 @@ def render(scene: PackedScene, resolution: int, samples: int, seed: int = 0) -> 
         resolution: Pixels along both sides.
         samples: Paths per pixel.
         seed: Seed of the paths.
-
-    Raises:
-        MissingDependencyError: If Mitsuba is not installed.
     """
-    try:
-        import mitsuba
-    except ImportError as error:
-        raise MissingDependencyError(f"references by Mitsuba need it ({error}): pip install 'rfpp[outside]'") from None
+    import mitsuba  # optional
+
     mitsuba.set_variant("scalar_rgb")
     described = {"type": "scene", "integrator": {"type": "path", "max_depth": -1, "rr_depth": 64}}
     loaded = mitsuba.load_dict(described | _shapes(mitsuba, scene))

@@ -18,7 +18,7 @@ def flicker(predictions: Frames, references: Frames) -> float:
     """Compute Σ|Δp − Δr| / Σ|Δr|, the error of changes between consecutive frames relative to the reference's changes.
 
     p and r are clamp(log2(1 + I), 0, 1) of predicted and reference radiance, and Δ is the difference between a frame
-    and the one before. The sums cover all pixels, colours and pairs of frames. 0 means that all changes are correct,
+    and the one before. The sums cover all pixels, colors and pairs of frames. 0 means that all changes are correct,
     regardless of constant errors; a still image scores 1. Noise in the reference counts as change. The result is
     infinite if the reference never changes, or NaN if the prediction does not change either.
 

@@ -22,7 +22,7 @@ SMOOTH, GLOSSY = 0.25, 0.5
 def l1_parts(prediction: Images, reference: Images, gbuffer: Mapping[str, Tensor]) -> dict[str, PerImage]:
     """Split L1 of linear radiance by bounce (two parts) and by roughness (three).
 
-    The error of each pixel and colour is divided like the reference: d = min(direct / reference, 1) is the share of
+    The error of each pixel and color is divided like the reference: d = min(direct / reference, 1) is the share of
     direct light. Pixels without a surface count as rough.
 
     Args:

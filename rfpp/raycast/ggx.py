@@ -51,7 +51,7 @@ def multiple_scattering(
 
     1 + F_ms (1 - E) / E with F_ms = s E_avg / (1 - s (1 - E_avg)), where s is the specular albedo, E(cosine, α) the
     lobe's albedo and E_avg its cosine-weighted mean (Turquin, "Practical Multiple Scattering Compensation for
-    Microfacet Models", 2019, with the colour of Kulla and Conty 2017).
+    Microfacet Models", 2019, with the color of Kulla and Conty 2017).
     """
     factor = np.empty((len(alpha), 3))
     _scattering_each(_flat(cosine), _flat(alpha), _rows(specular), *lobe_albedo(), factor)
@@ -123,7 +123,7 @@ def scattered(
     alpha: float,
     specular: float,
 ) -> float:
-    """See `multiple_scattering`: of one surface and colour, by the tables of `lobe_albedo`."""
+    """See `multiple_scattering`: of one surface and color, by the tables of `lobe_albedo`."""
     last = len(mean) - 1
     u, v = np.sqrt(alpha) * last, min(max(cosine, 0.0), 1.0) * last
     i, j = max(min(int(u), last - 1), 0), max(min(int(v), last - 1), 0)  # NaN as an index is any number

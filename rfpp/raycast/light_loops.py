@@ -189,7 +189,7 @@ def direct_at(
     Args:
         view: towards the eye.
         alpha: negative for a surface without glossy lobe.
-        specular: albedo, by which multiple scattering is coloured.
+        specular: albedo, by which multiple scattering is colored.
         samples: shadow rays to each light.
         wants_diffuse: whether irradiance is of interest.
         every, turn: of the lights each `every`th from this one on is sampled, for all of them. Which, does not depend

@@ -90,11 +90,6 @@ class LightSampler:
         other.scene = self.scene._replace(shining=shining)
         return other
 
-    def emitter_of(self, triangle: Int[np.ndarray, "*batch"]) -> Int[np.ndarray, "*batch"]:
-        """The emitter that a triangle is; -1 for others, and for -1."""
-        emitter: np.ndarray = np.append(self.scene.emitter, -1)[triangle]
-        return emitter
-
 
 def _outwards(
     corners: Float[np.ndarray, "e 3 3"],

@@ -93,13 +93,13 @@ def surface_there(
 
 @compiled
 def scattering(scene: LitScene, cosine: float, alpha: float, specular: float) -> float:
-    """See `rfpp.raycast.ggx.multiple_scattering`: of one surface and colour."""
+    """See `rfpp.raycast.ggx.multiple_scattering`: of one surface and color."""
     return ggx.scattered(scene.albedo, scene.mean_albedo, cosine, alpha, specular)
 
 
 @compiled
 def tinted(scene: LitScene, glossy: Vector, cosine: float, alpha: float, specular: Vector) -> Triple:
-    """Light of single scattering with that of multiple scattering, colour by colour."""
+    """Light of single scattering with that of multiple scattering, color by color."""
     return (
         glossy[0] * scattering(scene, cosine, alpha, specular[0]),
         glossy[1] * scattering(scene, cosine, alpha, specular[1]),
@@ -109,7 +109,7 @@ def tinted(scene: LitScene, glossy: Vector, cosine: float, alpha: float, specula
 
 @compiled
 def growth(scene: LitScene, cosine: float, alpha: float, specular: Vector) -> Triple:
-    """See `rfpp.raycast.ggx.scattering_growth`, colour by colour."""
+    """See `rfpp.raycast.ggx.scattering_growth`, color by color."""
     return (
         ggx.scattering_growth(scene.albedo, scene.mean_albedo, cosine, alpha, specular[0]),
         ggx.scattering_growth(scene.albedo, scene.mean_albedo, cosine, alpha, specular[1]),
@@ -119,7 +119,7 @@ def growth(scene: LitScene, cosine: float, alpha: float, specular: Vector) -> Tr
 
 @compiled
 def slope_of(scene: LitScene, glossy: Vector, cosine: float, alpha: float, specular: Vector) -> Triple:
-    """Derivative of specular albedo · glossy light by that albedo, which colours multiple scattering as well."""
+    """Derivative of specular albedo · glossy light by that albedo, which colors multiple scattering as well."""
     more = growth(scene, cosine, alpha, specular)
     return (
         glossy[0] * (1 + specular[0] * more[0]),

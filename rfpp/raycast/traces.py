@@ -13,12 +13,12 @@ from jaxtyping import Float, Int
 
 
 class Trace(NamedTuple):
-    """Derivatives of the light at R places, colour by colour.
+    """Derivatives of the light at R places, color by color.
 
     Attributes:
         triangle: [R, S] that S rays of each place have met; 0, with derivatives of 0, where they have met none.
         diffuse, specular: [R, S, 3] by the albedos there.
-        growth: [R, 3] of the logarithm of glossy light by the place's own specular albedo, which colours multiple
+        growth: [R, 3] of the logarithm of glossy light by the place's own specular albedo, which colors multiple
             scattering.
     """
 

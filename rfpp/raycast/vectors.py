@@ -42,13 +42,13 @@ def cross(a: Vector, b: Vector) -> Triple:
 
 @compiled
 def product(a: Vector, b: Vector) -> Triple:
-    """Colour by colour."""
+    """Color by color."""
     return a[0] * b[0], a[1] * b[1], a[2] * b[2]
 
 
 @compiled
 def mean(a: Vector) -> float:
-    """Of three colours."""
+    """Of three colors."""
     return (a[0] + a[1] + a[2]) / 3
 
 

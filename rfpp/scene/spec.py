@@ -54,9 +54,9 @@ class Material(Strict):
         roughness: perceptual roughness in [0, 1]; the GGX alpha is its square.
         emissive: emitted radiance, linear RGB, of both sides of each triangle.
         smooth_shading: interpolate normals across edges flatter than 30 degrees.
-        rand_tri_diffuse_seed: if set, random colours drawn with this seed replace diffuse.
-        random_diffuse_max: upper bound of those colours.
-        random_diffuse_type: one colour per triangle or per smoothly shaded part.
+        rand_tri_diffuse_seed: if set, random colors drawn with this seed replace diffuse.
+        random_diffuse_max: upper bound of those colors.
+        random_diffuse_type: one color per triangle or per smoothly shaded part.
     """
 
     noun = "material"

@@ -100,10 +100,10 @@ def _material_rows(item: SceneObject) -> Float[np.ndarray, "f 10"]:
 
 
 def _random_diffuse(material: Material, mesh: Mesh) -> Float[np.ndarray, "f 3"]:
-    """Draw one 8-bit colour per triangle or per smoothly shaded part."""
+    """Draw one 8-bit color per triangle or per smoothly shaded part."""
     by_part = material.smooth_shading and material.random_diffuse_type == "per-shading-group"
     groups = shading_groups(mesh, smooth=by_part)
-    # the legacy generator, as in RenderFormer's converter: the same seed gives the same colours
+    # the legacy generator, as in RenderFormer's converter: the same seed gives the same colors
     rng = np.random.RandomState(material.rand_tri_diffuse_seed)
     below = max(1, math.ceil(256 * material.random_diffuse_max))
     return rng.randint(0, below, size=(groups.max() + 1, 3))[groups] / 255

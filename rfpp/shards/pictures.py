@@ -37,8 +37,8 @@ def sample_panel(sample: SceneSample) -> UInt8[np.ndarray, "h w 3"]:
         "reflected light": [panels.tone_mapped(channel(g, material, f, "reflected_light")) for g, _, f in views],
         "albedo": [panels.tone_mapped(channel(g, material, f, "albedo")) for g, _, f in views],
         "specular": [panels.tone_mapped(channel(g, material, f, "specular")) for g, _, f in views],
-        "normal": [_normal_colours(g) for g, _, _ in views],
-        "depth (near is bright)": [_depth_colours(g) for g, _, _ in views],
+        "normal": [_normal_colors(g) for g, _, _ in views],
+        "depth (near is bright)": [_depth_colors(g) for g, _, _ in views],
         "objects": [panels.distinct_colors(object_ids(g, triangles)) for g, _, _ in views],
         "triangles": [
             _wireframe(triangles, pose, fov, *image.shape[:2], caster)
@@ -87,13 +87,13 @@ def _wireframe(
     return np.repeat((255 * blocks).astype(np.uint8)[..., None], 3, axis=-1)
 
 
-def _normal_colours(gbuffer: GBuffer) -> UInt8[np.ndarray, "h w 3"]:
-    """Colour normals: right is red, up is green, towards the camera is blue."""
+def _normal_colors(gbuffer: GBuffer) -> UInt8[np.ndarray, "h w 3"]:
+    """Color normals: right is red, up is green, towards the camera is blue."""
     return (np.where(gbuffer.hit[..., None], gbuffer.normal.clip(-1, 1) + 1, 0) * 127.5).astype(np.uint8)
 
 
-def _depth_colours(gbuffer: GBuffer) -> UInt8[np.ndarray, "h w 3"]:
-    """Colour depth from the nearest to the farthest hit; black where nothing is hit."""
+def _depth_colors(gbuffer: GBuffer) -> UInt8[np.ndarray, "h w 3"]:
+    """Color depth from the nearest to the farthest hit; black where nothing is hit."""
     depths = gbuffer.depth[gbuffer.hit]
     near, far = (depths.min(), depths.max()) if len(depths) else (0.0, 0.0)
     share = (far - gbuffer.depth) / max(far - near, 1e-6)

@@ -26,7 +26,7 @@ def views(height: int = 20, width: int = 24) -> tuple[torch.Tensor, torch.Tensor
     return radiance, surfaces
 
 
-def test_before_training_an_image_of_one_colour_stays_as_it_is():
+def test_before_training_an_image_of_one_color_stays_as_it_is():
     _, surfaces = views()
     grey = torch.full((2, 3, 20, 24), 0.7)
     torch.testing.assert_close(refinement()(grey, surfaces, FOV), grey)

@@ -1,4 +1,4 @@
-"""What is recorded of rays tells how light changes when what they have met changes its colour."""
+"""What is recorded of rays tells how light changes when what they have met changes its color."""
 
 from dataclasses import replace
 
@@ -21,7 +21,7 @@ FLOOR, BOX = slice(0, 2), slice(2, 14)
 
 
 def mirror_and_box(change: float = 0.0, columns: slice = DIFFUSE) -> SceneTriangles:
-    """A floor that mirrors a box under a lamp, the box in another colour."""
+    """A floor that mirrors a box under a lamp, the box in another color."""
     scene = pack(
         (square(1.2), material(0.2, 0.7, 0.1)),
         (box((0.3, 0.3, 0.3), (0, 0.1, 0.16)), material(0.4, 0.4, 0.4)),

@@ -106,8 +106,8 @@ def test_positions_lie_on_the_triangles_they_belong_to():
 
 def test_an_unknown_channel_is_named():
     scene = still_life()
-    with pytest.raises(UserError, match="'colour'.*albedo"):
-        stack_channels(first_hit(scene, look_at((0, -1, 1)), 40, 4, 4), scene.material, 40, ["colour"])
+    with pytest.raises(UserError, match="'color'.*albedo"):
+        stack_channels(first_hit(scene, look_at((0, -1, 1)), 40, 4, 4), scene.material, 40, ["color"])
 
 
 def test_a_caster_is_reused_but_not_that_of_another_scene():

@@ -76,7 +76,7 @@ def test_furnace(in_process, surface):
     assert image.mean() == pytest.approx(2.0 * albedo, rel=0.02)
 
 
-def test_colours_are_linear_and_in_rgb_order(in_process):
+def test_colors_are_linear_and_in_rgb_order(in_process):
     albedo, radiance = np.array([0.8, 0.2, 0.05]), np.array([1.0, 2.0, 4.0])
     scene = pack((sphere(0.3), material(diffuse=albedo)), (box(4.0), material(emission=radiance)))
     image = in_process(render, scene, one(look_at((0, -1, 0))), one(24), 16, 16, settings(samples=64, **RAW))[0]
@@ -145,7 +145,7 @@ def test_left_is_left_and_up_is_up(in_process):
     assert top_row < 8 and abs(top_column - 15.5) < 1
 
 
-def test_diffuse_colours_per_triangle(in_process, view):
+def test_diffuse_colors_per_triangle(in_process, view):
     scene, fov = still_life(), 40.0
     centre = settings(samples=1, denoise=False, filter_width=0.01)
     color = in_process(render_passes, scene, one(view), one(fov), 48, 48, centre, ["diffuse_color"])["diffuse_color"][0]

@@ -18,14 +18,14 @@ class MaterialSampler(HasIntervals):
     Attributes:
         reflectance: diffuse plus specular albedo, before the diffuse part is multiplied by its color.
         specular_share: white specular share of the reflectance; the rest is diffuse.
-        diffuse_colour: factor of the diffuse part, drawn per channel.
+        diffuse_color: factor of the diffuse part, drawn per channel.
         roughness: log-uniform in roughness + `roughness_shift`, so that mirrors are common but not the rule.
         smooth_shading: probability of smooth shading.
     """
 
     reflectance: Interval
     specular_share: Interval
-    diffuse_colour: Interval
+    diffuse_color: Interval
     roughness: Interval
     roughness_shift: float
     smooth_shading: float
@@ -34,7 +34,7 @@ class MaterialSampler(HasIntervals):
         """Draw a non-emissive material that conserves energy."""
         reflectance = uniform(rng, self.reflectance)
         specular = uniform(rng, self.specular_share) * reflectance
-        diffuse = (reflectance - specular) * uniform(rng, self.diffuse_colour, 3)
+        diffuse = (reflectance - specular) * uniform(rng, self.diffuse_color, 3)
         low, high = (math.log(limit + self.roughness_shift) for limit in self.roughness)
         # exp and log may not cancel exactly at the ends
         roughness = float(np.clip(math.exp(rng.uniform(low, high)) - self.roughness_shift, *self.roughness))
