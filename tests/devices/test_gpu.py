@@ -103,7 +103,7 @@ def test_a_training_step_is_that_of_the_cpu(variant):
 
 @requires_gpu
 @pytest.mark.parametrize("policy", [None, RecomputedBlocks(), RecomputedObjects(15)], ids=["kept", "blocks", "objects"])
-@pytest.mark.parametrize("variant", ["paper", "quickstart"])
+@pytest.mark.parametrize("variant", ["paper", "known_light"])
 def test_a_training_step_never_waits_for_the_gpu(variant, policy):
     net = network_on("cuda", *VARIANTS[variant]).train()
     if policy:

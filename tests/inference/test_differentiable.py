@@ -13,7 +13,7 @@ from rfpp.errors import SceneError, UserError
 from rfpp.scene.packed import PackedScene, pack
 from rfpp.scene.triangles import DIFFUSE, EMISSION, ROUGHNESS, SPECULAR
 
-SIDE = 32
+SIDE = 16
 COLUMNS = {"diffuse": DIFFUSE, "specular": SPECULAR, "roughness": ROUGHNESS, "emissive": EMISSION}
 #: Half the step of the difference that a gradient is compared with; small where a change would let other rays of the
 #: lobe on, for gradients are those of the rays as they are.

@@ -13,7 +13,6 @@ HEADS = ("size.width=64", "size.heads=1")
 PAPER = ("experiment=large_scale", "size=tiny", *HEADS)
 VARIANTS = {
     "paper": PAPER,
-    "quickstart": ("experiment=quickstart", *HEADS),
     "known_light": ("experiment=[quickstart,known_light]", *HEADS),
     "windows": (*PAPER, "+model.decoder.windows={_target_: rfpp.model.layers.ray_windows.ShiftedWindows, size: 2}"),
     **{
