@@ -1,4 +1,4 @@
-"""Whatever a scene file holds: a finite picture by the shipped network, or one line that says what is wrong, soon."""
+"""Damaged and hostile scene files give a finite picture by the shipped model, or a one-line error."""
 
 import json
 import struct
@@ -40,7 +40,7 @@ def folder(tmp_path_factory) -> Path:
 
 @cache
 def renderer() -> Renderer:
-    return Renderer.load("rfpp-tiny", "cpu")
+    return Renderer.load("radiosity", "cpu")
 
 
 def load(path: Path, content: bytes) -> None:
@@ -70,8 +70,9 @@ def _loaded(path: Path) -> tuple[PackedScene | None, str]:
 
 def _drawn(scene: PackedScene) -> bool:
     """Whether it has a picture, which is finite, or is refused in one line."""
+    model = renderer()
     try:
-        image = renderer().render(scene.views([0]), 16, light_samples=1, supersampling=1)
+        image = model.render(scene.views([0]), 16, light_samples=1, supersampling=1)
     except UserError as error:
         refusal = str(error)
     else:
