@@ -165,7 +165,8 @@ def test_a_bad_scene_is_one_line_naming_the_file(folder: Path, case: str) -> Non
 
 
 @pytest.mark.parametrize(
-    ("vertex", "face", "message"), [("v 0 1 0", "f 1 2 9", "line 4"), ("v nan 1 0", "f 1 2 3", "NaN")]
+    ("vertex", "face", "message"),
+    [("v 0 1 0", "f 1 2 9", "index 8 is out of bounds"), ("v nan 1 0", "f 1 2 3", "'v nan 1 0' cannot be read")],
 )
 def test_a_bad_mesh_names_scene_object_and_mesh(folder: Path, vertex: str, face: str, message: str) -> None:
     (folder / "ball.obj").write_text(f"v 0 0 0\nv 1 0 0\n{vertex}\n{face}\n")
