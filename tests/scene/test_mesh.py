@@ -190,7 +190,7 @@ def test_gltf_meshes_claim_no_more_than_they_hold(tmp_path: Path) -> None:
     builder.node(builder.primitive())
     del builder.document["accessors"][0]["bufferView"]  # zeros, says glTF
     builder.document["accessors"][0]["count"] = 10**9
-    with pytest.raises(SceneError, match=r"accessors\.0: 1,000,000,000 elements are more than 9,000,000"):
+    with pytest.raises(SceneError, match=r"accessors\.0: sparse or empty accessors"):
         load_mesh(builder.write(tmp_path))
 
 

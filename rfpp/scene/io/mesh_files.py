@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import trimesh
-
 from rfpp.errors import SceneError
 from rfpp.files import write_atomically
-from rfpp.scene.io.gltf_file import GltfFile
+from rfpp.scene.io.gltf import load_gltf_meshes
 from rfpp.scene.io.limits import MAX_TEXT_BYTES, read_bytes
 from rfpp.scene.io.trimesh_files import load_obj, load_ply, load_stl
 from rfpp.scene.mesh import Mesh, joined
@@ -20,8 +18,8 @@ MESH_SUFFIXES = (".obj", ".ply", ".stl", ".gltf", ".glb")
 def load_mesh(path: Path) -> Mesh:
     """Read an OBJ, PLY, STL or glTF file, triangulated and without materials and stored normals.
 
-    The meshes of a glTF file are placed by its nodes and joined. Vertices equal trimesh's, on which normalization and
-    so RenderFormer's scenes depend: a position is repeated where its corners have different attributes.
+    The meshes of a glTF file are placed by its nodes and joined. Vertices of other formats equal trimesh's, on which
+    normalization and so RenderFormer's scenes depend: a position is repeated where its corners' attributes differ.
 
     Raises:
         SceneError: If the file is missing, unreadable, not a valid `Mesh`, claims more than it holds, or names files
@@ -49,7 +47,7 @@ def load_material_groups(path: Path) -> tuple[Mesh, ...]:
             case ".stl":
                 meshes = load_stl(read_bytes(path))
             case _:
-                return _gltf_meshes(path)
+                return load_gltf_meshes(path)
         return tuple(Mesh(mesh["vertices"], mesh["faces"]) for mesh in meshes)
     except SceneError as error:
         raise SceneError(f"{path}: {error}") from None
@@ -59,16 +57,3 @@ def save_mesh(mesh: Mesh, path: Path) -> None:
     """Write an OBJ file that reads back exactly. Raises UserError if it cannot be written."""
     lines = [f"v {x} {y} {z}" for x, y, z in mesh.vertices] + [f"f {a} {b} {c}" for a, b, c in mesh.faces + 1]
     write_atomically(path, ("\n".join(lines) + "\n").encode())
-
-
-def _gltf_meshes(path: Path) -> tuple[Mesh, ...]:
-    GltfFile.at(path).require_sound_buffers()  # trimesh believes counts and opens files by any name
-    try:
-        loaded = trimesh.load_scene(path, process=False, skip_materials=True).dump()
-    except Exception as error:  # trimesh raises arbitrary errors for damaged files
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise SceneError(f"cannot be read as a mesh ({reason}): export it again") from None
-    groups = [group for group in loaded if isinstance(group, trimesh.Trimesh) and len(group.faces)]
-    if not groups:
-        raise SceneError("the mesh has no faces: export it with triangles")
-    return tuple(Mesh(group.vertices, group.faces) for group in groups)

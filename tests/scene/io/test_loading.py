@@ -148,8 +148,8 @@ def test_decimated_faces_keep_the_colours_of_their_place(tmp_path: Path) -> None
 
 def test_a_budget_also_holds_for_json_and_not_for_h5(tmp_path: Path) -> None:
     mesh = load_scene(ball_file(tmp_path)).objects[0].mesh
-    grey = Material(diffuse=(0.5,) * 3, specular=(0,) * 3, roughness=1)
-    scene = Scene(objects=(SceneObject(name="a", mesh=mesh, material=grey, transform=Transform()),))
+    gray = Material(diffuse=(0.5,) * 3, specular=(0,) * 3, roughness=1)
+    scene = Scene(objects=(SceneObject(name="a", mesh=mesh, material=gray, transform=Transform()),))
     with pytest.warns(UserWarning, match=r"a\.json: 5,120 triangles were reduced"):
         assert len(load_scene(save_scene(scene, tmp_path / "a.json"), triangles=500).objects[0].mesh) <= 500
     path = save_scene(scene, tmp_path / "a.h5")
@@ -196,7 +196,8 @@ def test_large_scenes_are_told_how_to_become_smaller(tmp_path: Path) -> None:
 
 PARTS = b"".join(b"o %d\nf 1 2 3\n" % i for i in range(20_001))
 MANY = {
-    "nodes.gltf": (b'{"asset": {"version": "2.0"}, "nodes": [' + b"{}," * 200_000 + b"{}]}", "nodes: list should have"),
+    "nodes.gltf": (b'{"asset": {"version": "2.0"}, "nodes": [' + b"{}," * 200_000 + b"{}]}",
+                   "nodes: a list of at most 100,000"),
     "nested.gltf": (b'{"asset": ' + b"[" * 100_000, "nested too deeply"),
     "groups.obj": (b"v 0 0 0\n" * 3 + PARTS, "more than 20,000 parts"),
     "materials.obj": (b"mtllib many.mtl\n" + b"v 0 0 0\n" * 3 + b"f 1 2 3\n",
