@@ -69,7 +69,7 @@ def test_notes_say_what_was_changed(served):
     _, content = ask(served, "/scenes", scene(intensity=0.0).glb())
     notes = json.loads(content)["notes"]
     assert "it has no light: three lights are added" in notes
-    assert "scaled by 0.25 and centred to fit into [-0.5, 0.5]³" in notes
+    assert "scaled by 0.25 and centered to fit into [-0.5, 0.5]³" in notes
 
 
 def test_alpha_is_zero_where_nothing_is_seen(served):

@@ -133,7 +133,7 @@ def test_an_axis_that_is_none_is_named(tmp_path: Path) -> None:
         load_scene(ball_file(tmp_path), up="x")
 
 
-def test_decimated_faces_keep_the_colours_of_their_place(tmp_path: Path) -> None:
+def test_decimated_faces_keep_the_colors_of_their_place(tmp_path: Path) -> None:
     mesh = trimesh.creation.icosphere(4)
     upper = mesh.triangles_center[:, 2] > 0
     mesh.visual.face_colors = np.where(upper[:, None], [255, 0, 0, 255], [0, 0, 255, 255])
