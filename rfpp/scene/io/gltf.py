@@ -1,10 +1,9 @@
-"""glTF 2.0 (.gltf, .glb): nodes with meshes become parts, with cameras cameras, with punctual lights lamps.
+"""glTF 2.0 (.gltf, .glb): nodes with meshes become parts, cameras cameras, and punctual lights lamps.
 
-Y up becomes Z up. Of the scene that the file names (else the first, else all roots), each primitive of each node is a
-part. Skinned meshes stand in the pose of their joints, morph targets and animations are left out. Lights: candela and
-lux are divided by 683, as Blender does in both directions, so that a scene exported from it is as bright here; the
-strength of emissive materials is radiance already. A camera's `yfov` becomes the angle along the longer side of its
-aspect ratio.
+Y up becomes Z up. Each primitive of each node in the file's scene (else the first, else all roots) is a part. Skinned
+meshes are in the pose of their joints; morph targets and animations are left out. Candela and lux are divided by 683,
+as Blender does in both directions; the strength of emissive materials is radiance already. A camera's `yfov` becomes
+the angle along the longer side of its aspect ratio.
 """
 
 from __future__ import annotations
@@ -15,98 +14,138 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
+from scipy.spatial.transform import Rotation
 
 from rfpp.errors import SceneError
 from rfpp.scene.io.gltf_file import GltfFile
+from rfpp.scene.io.gltf_json import INDEX, INDICES, MATRIX, POSITIVE, QUATERNION, RGB, TEXT, VECTOR, YFOV, Entry
 from rfpp.scene.io.gltf_material import GltfMaterials
 from rfpp.scene.io.gltf_primitive import Geometry
-from rfpp.scene.io.gltf_schema import Camera as CameraEntry
-from rfpp.scene.io.gltf_schema import Node, Primitive
 from rfpp.scene.io.imported_scene import BEYOND, ImportedScene, Lamp, Part, name_of, z_up
 from rfpp.scene.io.limits import require_bounded
+from rfpp.scene.mesh import Mesh
 from rfpp.scene.spec import Camera
 
 _LUMENS_PER_WATT = 683.0
+_PUNCTUAL = "KHR_lights_punctual"
 
 
 def read_gltf(path: Path) -> ImportedScene:
-    """The scene in a .gltf or .glb file.
+    """Read a .gltf or .glb file.
 
-    Warns of what is left out. Raises SceneError, without the file's name.
+    Warns of content that is left out. Raises SceneError, without the file's name.
     """
     return _scene(GltfFile.at(path), path)
 
 
 def received_glb(content: bytes, source: Path) -> ImportedScene:
-    """Like `read_gltf`, of a GLB file that is not on the disk; `source` is what warnings call it."""
+    """Read a GLB file that is not on the disk; warnings name it `source`."""
     return _scene(GltfFile.received(content), source)
+
+
+def load_gltf_meshes(path: Path) -> tuple[Mesh, ...]:
+    """Load the meshes of all nodes without materials, Y up. Raises SceneError, without the file's name."""
+    reader = _Reader(GltfFile.at(path))
+    with np.errstate(all="ignore"):
+        placed = [item for index in reader.poses for _, _, *item in reader.placed(index)]
+    if not placed:
+        raise SceneError("the mesh has no faces: export it with triangles")
+    return tuple(Mesh(vertices, faces) for vertices, faces in placed)
 
 
 def _scene(file: GltfFile, path: Path) -> ImportedScene:
     reader = _Reader(file)
     reader.materials.require_few_pixels()
     parts, lamps, cameras = [], [], []
-    with np.errstate(all="ignore"):  # what becomes infinite or NaN is refused
-        for index, pose in reader.poses.items():
-            node = reader.document.nodes[index]
-            label = name_of(node.name, f"node_{index}")
-            parts += reader.parts(node, label, pose)
-            cameras += reader.cameras(node, pose)
-            lamps += reader.lamps(node, label, pose)
+    with np.errstate(all="ignore"):  # results that are infinite or NaN are refused
+        for index in reader.poses:
+            parts += reader.parts(index)
+            cameras += reader.cameras(index)
+            lamps += reader.lamps(index)
     reader.warn(path)
     return ImportedScene(path.stem, tuple(parts), tuple(lamps), tuple(cameras))
 
 
 class _Reader:
-    """One file; `poses` holds node → world matrix [4, 4] of every node in its scene, Y up."""
+    """Reader of one file; `poses` holds the world matrix [4, 4] of every node in its scene, Y up."""
 
     def __init__(self, file: GltfFile) -> None:
         self.file, self.document = file, file.document
         self.materials = GltfMaterials(file)
         self.poses = dict(self._poses())
-        self.left_out: dict[str, None] = dict.fromkeys(["animations"] if self.document.animations else [])
+        self.left_out: dict[str, None] = dict.fromkeys(["animations"] if self.document.items("animations") else [])
         self._triangles = self._parts = 0
 
-    def parts(self, node: Node, label: str, pose: np.ndarray) -> Iterator[Part]:
-        if node.extensions.instancing is not None:
-            raise SceneError(f"'{label}': EXT_mesh_gpu_instancing cannot be read: export its instances as nodes")
-        if node.mesh is None:
-            return
-        for primitive in self.file.entry(self.document.meshes, node.mesh, "meshes").primitives:
-            try:
-                part = self._part(primitive, node, label, pose)
-            except SceneError as error:
-                raise SceneError(f"'{label}': {error}") from None
-            if part is not None and len(part):
-                self._parts += 1
-                require_bounded(self._triangles, self._parts)
-                yield part
+    def placed(self, index: int) -> Iterator[tuple[Entry, Geometry, Float[np.ndarray, "v 3"], Int[np.ndarray, "f 3"]]]:
+        """Yield each primitive of a node that has faces, with its geometry and its vertices and faces in the world."""
+        node, pose = self._node(index), self.poses[index]
+        if "EXT_mesh_gpu_instancing" in node.entry("extensions"):
+            raise SceneError("EXT_mesh_gpu_instancing cannot be read: export its instances as nodes")
+        mesh, skin = self.file.linked(node, "mesh", "meshes"), self.file.linked(node, "skin", "skins")
+        for number in range(len(mesh.items("primitives")) if mesh else 0):
+            primitive = mesh.at("primitives", number)
+            geometry = Geometry.read(self.file, primitive)
+            if geometry is None:
+                self.left_out["points and lines"] = None
+                continue
+            if primitive.items("targets"):
+                self.left_out["morph targets"] = None
+            if not len(geometry.faces):
+                continue
+            self._triangles += len(geometry.faces)
+            self._parts += 1
+            require_bounded(self._triangles, self._parts)
+            if skin and "JOINTS_0" in geometry.attributes and "WEIGHTS_0" in geometry.attributes:
+                yield primitive, geometry, geometry.skinned(skin, self.poses), geometry.faces
+            else:
+                world = geometry.positions @ pose[:3, :3].T + pose[:3, 3]
+                mirrored = np.linalg.det(pose[:3, :3]) < 0
+                yield primitive, geometry, world, geometry.faces[:, ::-1] if mirrored else geometry.faces
 
-    def cameras(self, node: Node, pose: np.ndarray) -> Iterator[Camera]:
-        if node.camera is None:
+    def parts(self, index: int) -> Iterator[Part]:
+        label = self._label(index)
+        mesh = self.file.linked(self._node(index), "mesh", "meshes")
+        try:
+            for primitive, geometry, world, faces in self.placed(index):
+                material, name = self.file.linked(primitive, "material", "materials"), label
+                if material and len(mesh.items("primitives")) > 1:
+                    name += f" {name_of(material.get('name', TEXT, ''), material.where)}"
+                rows, present, see_through = self.materials.rows(material, geometry)
+                yield Part(name, z_up(world), faces, rows, geometry.is_smooth, see_through).only(present)
+        except SceneError as error:
+            raise SceneError(f"'{label}': {error}") from None
+
+    def cameras(self, index: int) -> Iterator[Camera]:
+        entry, pose = self.file.linked(self._node(index), "camera", "cameras"), self.poses[index]
+        if entry is None:
             return
-        entry = self.file.entry(self.document.cameras, node.camera, "cameras")
-        if entry.type != "perspective" or entry.perspective is None:
+        if entry.get("type", TEXT, "") != "perspective":
             self.left_out["orthographic cameras"] = None
             return
         position, backward, up = z_up(np.stack([pose[:3, 3], pose[:3, 2], pose[:3, 1]]))
         values = {"position": position, "look_at": position - _unit(backward), "up": _unit(up)}
         if not (np.abs([*values.values()]) < BEYOND).all():
-            raise SceneError(f"cameras.{node.camera}: its node has no pose: export it again")
-        yield Camera(**{name: tuple(v.tolist()) for name, v in values.items()}, fov=_longer_angle(entry))
+            raise SceneError(f"{entry.where}: its node has no pose: export it again")
+        yield Camera(
+            **{name: tuple(v.tolist()) for name, v in values.items()}, fov=_longer_angle(entry.entry("perspective"))
+        )
 
-    def lamps(self, node: Node, label: str, pose: np.ndarray) -> Iterator[Lamp]:
-        if node.extensions.light is None:
+    def lamps(self, index: int) -> Iterator[Lamp]:
+        node, pose, label = self._node(index).entry("extensions", _PUNCTUAL), self.poses[index], self._label(index)
+        if "light" not in node:
             return
-        light = self.file.entry(self.document.extensions.lights.lights, node.extensions.light.light, "lights")
-        if light.type not in ("point", "spot", "directional"):
-            raise SceneError(f"'{label}': light of type '{name_of(light.type, '')}': choose point, spot or directional")
-        strength = np.multiply(light.color, light.intensity / _LUMENS_PER_WATT)
+        light = self.document.entry("extensions", _PUNCTUAL).at("lights", node.get("light", INDEX))
+        kind = light.get("type", TEXT, "")
+        if kind not in ("point", "spot", "directional"):
+            raise SceneError(f"'{label}': light of type '{name_of(kind, '')}': choose point, spot or directional")
+        strength = np.multiply(
+            light.get("color", RGB, (1, 1, 1)), light.get("intensity", POSITIVE, 1) / _LUMENS_PER_WATT
+        )
         position, direction = z_up(np.stack([pose[:3, 3], -pose[:3, 2]]))
         if not (np.abs([strength, position, direction]) < BEYOND).all() or not direction.any():
             raise SceneError(f"'{label}': its light is NaN, infinite or too large: export it again")
-        yield Lamp(label, light.type, strength, position, _unit(direction))
+        yield Lamp(label, kind, strength, position, _unit(direction))
 
     def warn(self, path: Path) -> None:
         if textures := self.materials.textures.used:
@@ -116,14 +155,20 @@ class _Reader:
         if self.left_out:
             warnings.warn(f"{path}: left out: {', '.join(self.left_out)}", stacklevel=5)
 
+    def _node(self, index: int) -> Entry:
+        return self.document.at("nodes", index)
+
+    def _label(self, index: int) -> str:
+        return name_of(self._node(index).get("name", TEXT, ""), f"node_{index}")
+
     def _poses(self) -> Iterator[tuple[int, Float[np.ndarray, "4 4"]]]:
-        """World matrices of the nodes in the scene, parents first. Raises SceneError where they are no tree."""
-        document = self.document
-        if document.scenes:
-            roots = self.file.entry(document.scenes, document.scene or 0, "scenes").nodes
+        """Yield world matrices of the nodes in the scene, parents first. Raises SceneError if they are not a tree."""
+        nodes = range(len(self.document.items("nodes")))
+        children = {index: self._node(index).get("children", INDICES, []) for index in nodes}
+        if self.document.items("scenes"):
+            roots = self.document.at("scenes", self.document.get("scene", INDEX, 0)).get("nodes", INDICES, [])
         else:
-            children = {child for node in document.nodes for child in node.children}
-            roots = [index for index in range(len(document.nodes)) if index not in children]
+            roots = sorted(set(nodes) - {child for index in nodes for child in children[index]})
         waiting = [(root, np.eye(4)) for root in reversed(roots)]
         seen: set[int] = set()
         while waiting:
@@ -131,61 +176,33 @@ class _Reader:
             if index in seen:
                 raise SceneError(f"nodes.{index} occurs twice in the hierarchy: export it again, as a tree")
             seen.add(index)
-            node = self.file.entry(document.nodes, index, "nodes")
             with np.errstate(over="ignore", invalid="ignore"):
-                pose = parent @ _matrix(node)
+                pose = parent @ _matrix(self._node(index))
             yield index, pose
-            waiting += [(child, pose) for child in reversed(node.children)]
-        if document.nodes and not seen:
+            waiting += [(child, pose) for child in reversed(children[index])]
+        if nodes and not seen:
             raise SceneError("no node belongs to its scene: export it again")
 
-    def _part(self, primitive: Primitive, node: Node, label: str, pose: np.ndarray) -> Part | None:
-        geometry = Geometry.read(self.file, primitive)
-        if geometry is None:
-            self.left_out["points and lines"] = None
-            return None
-        if primitive.targets:
-            self.left_out["morph targets"] = None
-        self._triangles += len(geometry.faces)
-        require_bounded(self._triangles)
-        if not len(geometry.faces):
-            return None
 
-        faces = geometry.faces
-        if node.skin is not None and {"JOINTS_0", "WEIGHTS_0"} <= primitive.attributes.keys():
-            world = geometry.skinned(self.file.entry(self.document.skins, node.skin, "skins"), self.poses)
-        else:
-            world = geometry.positions @ pose[:3, :3].T + pose[:3, 3]
-            faces = faces[:, ::-1] if np.linalg.det(pose[:3, :3]) < 0 else faces
-        material, present, see_through = self.materials.rows(
-            primitive.material, len(faces), geometry.coordinates, geometry.colours
-        )
-        if primitive.material is not None and len(self.document.meshes[node.mesh].primitives) > 1:
-            label += f" {name_of(self.document.materials[primitive.material].name, str(primitive.material))}"
-        return Part(label, z_up(world), faces, material, geometry.is_smooth, see_through).only(present)
-
-
-def _matrix(node: Node) -> Float[np.ndarray, "4 4"]:
-    """Node to parent."""
-    if node.matrix is not None:
-        return np.reshape(node.matrix, (4, 4)).T
-    x, y, z, w = np.divide(node.rotation, max(np.linalg.norm(node.rotation), 1e-12))
-    rotation = np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-    )
+def _matrix(node: Entry) -> Float[np.ndarray, "4 4"]:
+    """Return the transform from a node to its parent."""
+    if "matrix" in node:
+        return np.reshape(node.get("matrix", MATRIX), (4, 4)).T
+    rotation = node.get("rotation", QUATERNION, (0, 0, 0, 1))
+    if not np.linalg.norm(rotation) > 0:
+        rotation = (0, 0, 0, 1)
     matrix = np.eye(4)
-    matrix[:3, :3], matrix[:3, 3] = rotation * node.scale, node.translation
+    matrix[:3, :3] = Rotation.from_quat(rotation).as_matrix() * node.get("scale", VECTOR, (1, 1, 1))
+    matrix[:3, 3] = node.get("translation", VECTOR, (0, 0, 0))
     return matrix
 
 
-def _longer_angle(camera: CameraEntry) -> float:
-    """Degrees along the longer side of the image that the camera was made for."""
-    aspect = max(camera.perspective.aspect_ratio or 1.0, 1.0)
-    return min(math.degrees(2 * math.atan(aspect * math.tan(camera.perspective.yfov / 2))), 179.0)
+def _longer_angle(perspective: Entry) -> float:
+    """Return degrees along the longer side of the image that the camera was made for."""
+    if "yfov" not in perspective:
+        raise SceneError(f"{perspective.where}.yfov is missing: export it again")
+    aspect = max(perspective.get("aspectRatio", POSITIVE, 1.0), 1.0)
+    return min(math.degrees(2 * math.atan(aspect * math.tan(perspective.get("yfov", YFOV) / 2))), 179.0)
 
 
 def _unit(vectors: np.ndarray) -> np.ndarray:

@@ -2,24 +2,24 @@
 
 | Here | glTF |
 |---|---|
-| diffuse | base colour · (1 − metallic) · (1 − f), f the largest channel of F0 |
-| specular | F0 · (1 − metallic) + base colour · metallic |
-| F0 | ((ior − 1) / (ior + 1))² · specular factor · specular colour factor, at most 1; 0.04 by default |
+| diffuse | base color · (1 − metallic) · (1 − f), f the largest channel of F0 |
+| specular | F0 · (1 − metallic) + base color · metallic |
+| F0 | ((ior − 1) / (ior + 1))² · specular factor · specular color factor, at most 1; 0.04 by default |
 | roughness | roughness: both square it |
 | emitted radiance | emissive factor · emissive strength |
 
 F0 is glTF's reflectance at normal incidence, and the specular albedo here at every angle: there is no Fresnel term. The
-two albedos add up to at most 1. Textures of base colour, metallic and roughness, and emission are multiplied with the
-factors after being averaged over each triangle, vertex colours with the base colour. Of an emissive texture less than a
+two albedos add up to at most 1. Textures of base color, metallic and roughness, and emission are multiplied with the
+factors after being averaged over each triangle, vertex colors with the base color. Of an emissive texture less than a
 tenth of its brightest triangle counts as none: what glows is invisible to the camera, and most such textures are dark
-but for a few lights. `MASK` leaves out triangles that are transparent in the mean. Without a material: grey.
+but for a few lights. `MASK` leaves out triangles that are transparent in the mean. Without a material: gray.
 """
 
 from __future__ import annotations
 
 import contextlib
 import io
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -27,13 +27,11 @@ from jaxtyping import Bool, Float
 
 from rfpp.errors import SceneError
 from rfpp.scene.io.gltf_file import GltfFile
-from rfpp.scene.io.gltf_schema import Material, TextureInfo
+from rfpp.scene.io.gltf_json import INDEX, NUMBER, PAIR, POSITIVE, RGB, RGBA, SHARE, TEXT, Entry
+from rfpp.scene.io.gltf_primitive import Geometry
 from rfpp.scene.io.image_texture import Textures, require_few_pixels
 from rfpp.scene.io.imported_scene import GREY, name_of, plain_material
 from rfpp.scene.triangles import DIFFUSE, EMISSION, ROUGHNESS, SPECULAR
-
-#: Set of texture coordinates → those of each corner [F, 3, 2].
-Coordinates = Callable[[int], Float[np.ndarray, "f 3 2"]]
 
 _GLOWS = 0.1
 _OPAQUE = 0.99
@@ -41,11 +39,11 @@ _OPAQUE = 0.99
 
 @dataclass
 class GltfMaterials:
-    """The materials of one file.
+    """Materials of one file.
 
     Attributes:
-        textures: those that were averaged so far.
-        normal_maps: whether any was left out.
+        textures: Textures averaged so far.
+        normal_maps: True if any was left out.
     """
 
     file: GltfFile
@@ -53,101 +51,106 @@ class GltfMaterials:
     textures: Textures = field(default_factory=Textures)
 
     def rows(
-        self,
-        index: int | None,
-        faces: int,
-        coordinates: Coordinates,
-        colours: Float[np.ndarray, "f 4"] | None,
+        self, material: Entry | None, geometry: Geometry
     ) -> tuple[Float[np.ndarray, "f 10"], Bool[np.ndarray, " f"], str]:
-        """The material of each face of a primitive, which faces are there at all, and `Part.see_through`.
+        """Return the material of each face, a mask of faces that are present, and `Part.see_through`.
 
         Raises:
-            SceneError: naming the material, if a texture cannot be read.
+            SceneError: If a value is invalid or a texture cannot be read; names the material.
         """
-        if index is None:
-            plain = plain_material(faces) if colours is None else metallic_roughness(colours[:, :3] * GREY, 0.0, 0.5)
+        faces, colors = len(geometry.faces), geometry.colors
+        if material is None:
+            plain = plain_material(faces) if colors is None else metallic_roughness(colors[:, :3] * GREY, 0.0, 0.5)
             return plain, np.ones(faces, bool), ""
-        material = self.file.entry(self.file.document.materials, index, "materials")
-        name = f"material '{name_of(material.name, str(index))}'"
+        name = f"material '{name_of(material.get('name', TEXT, ''), material.where)}'"
         try:
-            rows, alpha = self._rows(material, faces, coordinates, colours)
+            rows, alpha = self._rows(material, geometry, colors)
         except SceneError as error:
             raise SceneError(f"{name}: {error}") from None
-        present = alpha >= material.alpha_cutoff if material.alpha_mode == "MASK" else np.ones(faces, bool)
-        why = _see_through(material, alpha)
+        mode = material.get("alphaMode", TEXT, "OPAQUE")
+        present = alpha >= material.get("alphaCutoff", POSITIVE, 0.5) if mode == "MASK" else np.ones(faces, bool)
+        why = "alphaMode BLEND" if mode == "BLEND" and alpha.min(initial=1) < _OPAQUE else ""
+        for kind, factor in (
+            ("transmission", "transmissionFactor"),
+            ("diffuse_transmission", "diffuseTransmissionFactor"),
+        ):
+            why = "transmission" if _extension(material, kind).get(factor, SHARE, 0.0) else why
         return rows, present, f"{name} ({why})" if why else ""
 
-    def _rows(
-        self, material: Material, faces: int, coordinates: Coordinates, colours: np.ndarray | None
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """And the alpha of each face."""
-        pbr, extensions = material.pbr_metallic_roughness, material.extensions
-        self.normal_maps |= material.normal_texture is not None
+    def _rows(self, material: Entry, geometry: Geometry, colors: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+        """Return the material and the alpha of each face."""
+        pbr, faces = material.entry("pbrMetallicRoughness"), len(geometry.faces)
+        self.normal_maps |= "normalTexture" in material
 
-        base = np.tile(np.array(pbr.base_color_factor, np.float32), (faces, 1))
-        if pbr.base_color_texture is not None:
-            base *= self._means(pbr.base_color_texture, coordinates, colour=True)
-        if colours is not None:
-            base *= colours
-        metallic, roughness = (np.full(faces, value) for value in (pbr.metallic_factor, pbr.roughness_factor))
-        if pbr.metallic_roughness_texture is not None:
-            _, green, blue, _ = self._means(pbr.metallic_roughness_texture, coordinates, colour=False).T
+        base = np.tile(np.array(pbr.get("baseColorFactor", RGBA, (1, 1, 1, 1)), np.float32), (faces, 1))
+        if "baseColorTexture" in pbr:
+            base *= self._means(pbr.entry("baseColorTexture"), geometry, color=True)
+        if colors is not None:
+            base *= colors
+        metallic, roughness = (
+            np.full(faces, pbr.get(key, SHARE, 1.0)) for key in ("metallicFactor", "roughnessFactor")
+        )
+        if "metallicRoughnessTexture" in pbr:
+            _, green, blue, _ = self._means(pbr.entry("metallicRoughnessTexture"), geometry, color=False).T
             metallic, roughness = metallic * blue, roughness * green
 
         rows = metallic_roughness(base[:, :3], metallic, roughness, _reflectance(material))
-        rows[:, EMISSION] = np.multiply(material.emissive_factor, extensions.emissive_strength.emissive_strength)
-        if material.emissive_texture is not None and rows[:, EMISSION].any():
-            glow = rows[:, EMISSION] * self._means(material.emissive_texture, coordinates, colour=True)[:, :3]
+        strength = _extension(material, "emissive_strength").get("emissiveStrength", POSITIVE, 1.0)
+        rows[:, EMISSION] = np.multiply(material.get("emissiveFactor", RGB, (0, 0, 0)), strength)
+        if "emissiveTexture" in material and rows[:, EMISSION].any():
+            glow = rows[:, EMISSION] * self._means(material.entry("emissiveTexture"), geometry, color=True)[:, :3]
             rows[:, EMISSION] = np.where(glow.max(axis=1, keepdims=True) < _GLOWS * glow.max(), 0, glow)
         return rows, base[:, 3]
 
     def require_few_pixels(self) -> None:
-        """Raises SceneError for too many in all pictures of its materials, before any is decoded."""
+        """Raise SceneError for too many pixels in all pictures of its materials, before any is decoded."""
         require_few_pixels(self._pictures())
 
     def _pictures(self) -> Iterator[io.BytesIO]:
-        """Each picture of a material once; what cannot be read is refused where it is needed."""
+        """Yield each picture of a material once; unreadable ones are refused where they are needed."""
         seen = set()
-        for info in (info for material in self.file.document.materials for info in _textures(material)):
-            with contextlib.suppress(SceneError):
-                source = self._source(info.index)
-                if source is not None and source not in seen:
-                    seen.add(source)
-                    yield io.BytesIO(self._image(source))
+        for index in range(len(self.file.document.items("materials"))):
+            material = self.file.document.at("materials", index)
+            pbr = material.entry("pbrMetallicRoughness")
+            for holder, key in (
+                (pbr, "baseColorTexture"),
+                (pbr, "metallicRoughnessTexture"),
+                (material, "emissiveTexture"),
+            ):
+                with contextlib.suppress(SceneError):
+                    source = self._source(holder.entry(key)) if key in holder else None
+                    if source is not None and source not in seen:
+                        seen.add(source)
+                        yield io.BytesIO(self._image(source))
 
-    def _source(self, texture: int) -> int | None:
-        """The image of a texture that can be read."""
-        entry = self.file.entry(self.file.document.textures, texture, "textures")
-        return entry.extensions.webp.source if entry.extensions.webp else entry.source
+    def _source(self, info: Entry) -> int | None:
+        """Return the image of a texture that can be read."""
+        texture = self.file.document.at("textures", info.get("index", INDEX, 0))
+        return texture.entry("extensions", "EXT_texture_webp").get("source", INDEX, texture.get("source", INDEX))
 
-    def _means(self, info: TextureInfo, coordinates: Coordinates, colour: bool) -> Float[np.ndarray, "f 4"]:
-        transform, source = info.extensions.transform, self._source(info.index)
+    def _means(self, info: Entry, geometry: Geometry, color: bool) -> Float[np.ndarray, "f 4"]:
+        source = self._source(info)
         if source is None:
-            raise SceneError(f"textures.{info.index} has no picture that can be read: export PNG or JPEG textures")
+            raise SceneError(f"{info.where} has no picture that can be read: export PNG or JPEG textures")
         try:
-            picture = self.textures.get(source, colour, lambda: self._image(source))
+            picture = self.textures.get(source, color, lambda: self._image(source))
         except SceneError as error:
             raise SceneError(f"images.{source}: {error}") from None
-        if transform is None:
-            return picture.means(coordinates(info.tex_coord))
-        uv = coordinates(info.tex_coord if transform.tex_coord is None else transform.tex_coord)
-        cos, sin = np.cos(transform.rotation), np.sin(transform.rotation)
-        turned = (uv * transform.scale) @ np.array([[cos, -sin], [sin, cos]])
-        return picture.means(turned + transform.offset)
+        transform = info.entry("extensions", "KHR_texture_transform")
+        uv = geometry.coordinates(transform.get("texCoord", INDEX, info.get("texCoord", INDEX, 0)))
+        rotation = transform.get("rotation", NUMBER, 0.0)
+        cos, sin = np.cos(rotation), np.sin(rotation)
+        turned = (uv * transform.get("scale", PAIR, (1, 1))) @ np.array([[cos, -sin], [sin, cos]])
+        return picture.means(turned + transform.get("offset", PAIR, (0, 0)))
 
     def _image(self, index: int) -> bytes:
-        image = self.file.entry(self.file.document.images, index, "images")
-        if image.buffer_view is None:
-            return self.file.bytes_of(image.uri or "data:")
-        return bytes(self.file.view(self.file.entry(self.file.document.buffer_views, image.buffer_view, "bufferViews")))
+        image = self.file.document.at("images", index)
+        view = self.file.linked(image, "bufferView", "bufferViews")
+        return self.file.bytes_of(image.get("uri", TEXT, "data:")) if view is None else bytes(self.file.view(view))
 
 
-def _textures(material: Material) -> Iterator[TextureInfo]:
-    """Those that are read."""
-    pbr = material.pbr_metallic_roughness
-    for info in (pbr.base_color_texture, pbr.metallic_roughness_texture, material.emissive_texture):
-        if info is not None:
-            yield info
+def _extension(material: Entry, name: str) -> Entry:
+    return material.entry("extensions", f"KHR_materials_{name}")
 
 
 def metallic_roughness(
@@ -165,15 +168,7 @@ def metallic_roughness(
     return np.clip(rows, 0, 1)
 
 
-def _see_through(material: Material, alpha: np.ndarray) -> str:
-    """What says so, if light should pass through."""
-    extensions = material.extensions
-    if extensions.transmission.transmission_factor or extensions.diffuse_transmission.diffuse_transmission_factor:
-        return "transmission"
-    return "alphaMode BLEND" if material.alpha_mode == "BLEND" and alpha.min(initial=1) < _OPAQUE else ""
-
-
-def _reflectance(material: Material) -> Float[np.ndarray, 3]:
-    ior, specular = material.extensions.ior.ior, material.extensions.specular
-    normal = ((ior - 1) / (ior + 1)) ** 2
-    return np.minimum(np.multiply(specular.specular_color_factor, normal * specular.specular_factor), 1.0)
+def _reflectance(material: Entry) -> Float[np.ndarray, 3]:
+    ior, specular = _extension(material, "ior").get("ior", POSITIVE, 1.5), _extension(material, "specular")
+    normal = ((ior - 1) / (ior + 1)) ** 2 * specular.get("specularFactor", SHARE, 1.0)
+    return np.minimum(np.multiply(specular.get("specularColorFactor", RGB, (1, 1, 1)), normal), 1.0)

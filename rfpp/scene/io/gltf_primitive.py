@@ -1,4 +1,4 @@
-"""The triangles of one glTF primitive: positions, faces, and what its attributes say of them."""
+"""Triangles of one glTF primitive: positions, faces and the attributes of its vertices."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from jaxtyping import Float, Int
 
 from rfpp.errors import SceneError
 from rfpp.scene.io.gltf_file import GltfFile
-from rfpp.scene.io.gltf_schema import Primitive, Skin
+from rfpp.scene.io.gltf_json import INDEX, INDICES, Entry
 from rfpp.scene.io.imported_scene import is_smooth
 
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
@@ -26,65 +26,67 @@ class Geometry:
     """
 
     file: GltfFile
-    primitive: Primitive
+    attributes: Entry
     positions: Float[np.ndarray, "v 3"]
     faces: Int[np.ndarray, "f 3"]
 
     @classmethod
-    def read(cls, file: GltfFile, primitive: Primitive) -> Geometry | None:
-        """None for points and lines. Raises SceneError: compressed, without positions, a bad index."""
+    def read(cls, file: GltfFile, primitive: Entry) -> Geometry | None:
+        """Return None for points and lines. Raises SceneError: compressed, without positions, a bad index."""
         for extension in ("KHR_draco_mesh_compression", "EXT_meshopt_compression"):
-            if extension in primitive.extensions:
+            if extension in primitive.entry("extensions"):
                 raise SceneError(f"{extension} cannot be read: export it without mesh compression")
-        if primitive.mode not in (_TRIANGLES, _STRIP, _FAN):
+        mode, attributes = primitive.get("mode", INDEX, _TRIANGLES), primitive.entry("attributes")
+        if mode not in (_TRIANGLES, _STRIP, _FAN):
             return None
-        if "POSITION" not in primitive.attributes:
+        if "POSITION" not in attributes:
             raise SceneError("a primitive has no POSITION: export it again")
-        positions = file.array(primitive.attributes["POSITION"], "VEC3").astype(np.float64)
+        positions = file.array(attributes.get("POSITION", INDEX), "VEC3").astype(np.float64)
         corners = np.arange(len(positions))
-        if primitive.indices is not None:
-            corners = file.array(primitive.indices, "SCALAR")
+        if "indices" in primitive:
+            corners = file.array(primitive.get("indices", INDEX), "SCALAR")
             if corners.dtype.kind != "u":
-                raise SceneError("its indices are no integers: export it again")
+                raise SceneError("its indices are not unsigned integers: export it again")
             corners = corners.astype(np.int64)
-        faces = _triangles(corners, primitive.mode)
+        faces = _triangles(corners, mode)
         if len(faces) and faces.max() >= len(positions):
             raise SceneError(f"a face refers to vertex {faces.max():,} of {len(positions):,}: export it again")
-        return cls(file, primitive, positions, faces)
+        return cls(file, attributes, positions, faces)
 
     @property
     def is_smooth(self) -> bool:
-        """By the stored normals; without any, glTF says flat."""
-        if "NORMAL" not in self.primitive.attributes:
+        """True if stored normals differ from those of the faces; without any, glTF surfaces are flat."""
+        if "NORMAL" not in self.attributes:
             return False
         return is_smooth(self.positions, self.faces, self._attribute("NORMAL", "VEC3"), self.faces)
 
     @property
-    def colours(self) -> Float[np.ndarray, "f 4"] | None:
-        """The mean of its corners' colours for each face, linear, with alpha."""
-        if "COLOR_0" not in self.primitive.attributes:
+    def colors(self) -> Float[np.ndarray, "f 4"] | None:
+        """Mean color of each face's corners, linear, with alpha."""
+        if "COLOR_0" not in self.attributes:
             return None
-        colours = np.clip(self._attribute("COLOR_0", "VEC3", "VEC4"), 0, 1)
-        opaque = np.ones((len(colours), 4))
-        opaque[:, : colours.shape[1]] = colours
+        colors = np.clip(self._attribute("COLOR_0", "VEC3", "VEC4"), 0, 1)
+        opaque = np.ones((len(colors), 4))
+        opaque[:, : colors.shape[1]] = colors
         return opaque[self.faces].mean(axis=1).astype(np.float32)
 
     def coordinates(self, number: int) -> Float[np.ndarray, "f 3 2"]:
-        """Texture coordinates of the corners."""
+        """Return the texture coordinates of each face's corners."""
         name = f"TEXCOORD_{number}"
-        if name not in self.primitive.attributes:
-            raise SceneError(f"a texture needs {name}, which the mesh has not: unwrap the mesh or drop the texture")
+        if name not in self.attributes:
+            raise SceneError(f"a texture needs {name}, which the mesh does not have: unwrap the mesh")
         return self._attribute(name, "VEC2")[self.faces]
 
-    def skinned(self, skin: Skin, poses: Mapping[int, np.ndarray]) -> Float[np.ndarray, "v 3"]:
-        """World positions of a mesh that follows joints (node → pose), not its own node."""
-        if any(joint not in poses for joint in skin.joints):
+    def skinned(self, skin: Entry, poses: Mapping[int, np.ndarray]) -> Float[np.ndarray, "v 3"]:
+        """Return world positions of a mesh that follows joints (node → pose), not its own node."""
+        indices = skin.get("joints", INDICES, [])
+        if any(joint not in poses for joint in indices):
             raise SceneError("a joint of its skin is not in the scene: export it again")
-        bones = np.stack([poses[joint] for joint in skin.joints]) if skin.joints else np.empty((0, 4, 4))
-        if skin.inverse_bind_matrices is not None:
-            inverse = self.file.array(skin.inverse_bind_matrices, "MAT4").astype(np.float64)
+        bones = np.stack([poses[joint] for joint in indices]) if indices else np.empty((0, 4, 4))
+        if "inverseBindMatrices" in skin:
+            inverse = self.file.array(skin.get("inverseBindMatrices", INDEX), "MAT4").astype(np.float64)
             if len(inverse) < len(bones):
-                raise SceneError("its skin has not a matrix for each joint: export it again")
+                raise SceneError("its skin does not have a matrix for each joint: export it again")
             bones = bones @ inverse[: len(bones)].reshape(-1, 4, 4).transpose(0, 2, 1)
         joints, weights = self._attribute("JOINTS_0", "VEC4").astype(np.int64), self._attribute("WEIGHTS_0", "VEC4")
         if joints.max() >= len(bones) or joints.min() < 0:
@@ -96,7 +98,7 @@ class Geometry:
         return posed / np.maximum(weights.sum(axis=1, keepdims=True), 1e-9)
 
     def _attribute(self, name: str, *types: str) -> Float[np.ndarray, "v n"]:
-        values = self.file.array(self.primitive.attributes[name], *types).astype(np.float64)
+        values = self.file.array(self.attributes.get(name, INDEX), *types).astype(np.float64)
         if len(values) != len(self.positions) or not np.isfinite(values).all():
             raise SceneError(f"its {name} is damaged: export it again")
         return values

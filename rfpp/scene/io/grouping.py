@@ -47,10 +47,10 @@ def components(part: Part) -> Iterator[Part]:
         areas = np.bincount(piece, weights=part.areas)
         largest = np.argsort(-areas, kind="stable")[:MAX_OBJECTS]
         fragments = np.setdiff1d(np.arange(len(first)), largest)
-        centres = _centres(part, piece, len(first))
+        centers = _centers(part, piece, len(first))
         body = np.empty(len(first), np.int64)
         body[largest] = np.arange(len(largest))
-        body[fragments] = cKDTree(centres[largest]).query(centres[fragments])[1]
+        body[fragments] = cKDTree(centers[largest]).query(centers[fragments])[1]
         first, piece = first[largest], body[piece]
         count = np.bincount(piece)
     by_piece = np.split(np.argsort(piece, kind="stable"), np.cumsum(count)[:-1])
@@ -75,8 +75,8 @@ def _merged(parts: list[Part]) -> list[Part]:
         return parts
     order = np.argsort([-part.areas.sum() for part in parts], kind="stable")
     large, small = np.sort(order[:MAX_OBJECTS]), order[MAX_OBJECTS:]
-    centres = np.stack([part.corners.mean(axis=(0, 1)) for part in parts])
-    nearest = cKDTree(centres[large]).query(centres[small])[1]
+    centers = np.stack([part.corners.mean(axis=(0, 1)) for part in parts])
+    nearest = cKDTree(centers[large]).query(centers[small])[1]
     joining = {index: [index] for index in large}
     for index, body in zip(small, large[nearest], strict=True):
         joining[body].append(index)
@@ -94,8 +94,8 @@ def _joined(parts: Sequence[Part]) -> Part:
     )
 
 
-def _centres(part: Part, piece: np.ndarray, count: int) -> np.ndarray:
-    """Return the mean of the face centres of each piece, [count, 3]."""
+def _centers(part: Part, piece: np.ndarray, count: int) -> np.ndarray:
+    """Return the mean of the face centers of each piece, [count, 3]."""
     a, b, c = part.faces.T
     of_faces = ((column[a] + column[b] + column[c]) / 3 for column in part.vertices.T)
     sums = np.stack([np.bincount(piece, weights=column, minlength=count) for column in of_faces])

@@ -21,7 +21,7 @@ _MAX_PIXELS_OF_A_FILE = 2**28  # 16 pictures of 4096²
 _SIDE_KEPT = 1024  # pixels along the longer side; 11 MB with all coarser copies
 _KEPT = 32  # pictures
 _STRIP = 2**17  # pixels that are reduced at a time
-_SIDE = 6  # cells along a triangle's side: 36 equal parts, each looked up at its centre
+_SIDE = 6  # cells along a triangle's side: 36 equal parts, each looked up at its center
 _CHUNK = 50_000  # triangles at a time: 45 MB
 
 #: 8-bit sRGB → linear.
@@ -40,15 +40,15 @@ class ImageTexture:
 
     Args:
         content: of an image file.
-        colour: whether it holds sRGB colour, which becomes linear; else plain numbers.
+        color: whether it holds sRGB color, which becomes linear; else plain numbers.
         left: pixels that its scene may still have.
 
     Raises:
         SceneError: without a name: no such image, a damaged or an absurdly large one.
     """
 
-    def __init__(self, content: bytes, colour: bool, left: int = _MAX_PIXELS) -> None:
-        level, self.pixels = _pixels(content, colour, left)
+    def __init__(self, content: bytes, color: bool, left: int = _MAX_PIXELS) -> None:
+        level, self.pixels = _pixels(content, color, left)
         self._levels = [level.astype(np.float16)]
         while min(level.shape[:2]) > 1:
             level = _reduced(level, 2)
@@ -63,7 +63,7 @@ class ImageTexture:
         extent = (np.ptp(uv, axis=1) * (width, height)).max(axis=1)
         wanted = np.log2(np.maximum(extent / _SIDE, 1))
         level = np.minimum(np.floor(wanted), len(self._levels) - 1).astype(int)
-        points = _CENTRES @ uv
+        points = _CENTERS @ uv
         result = np.empty((len(uv), 4), np.float32)
         for number in np.unique(level):
             chosen, pixels = level == number, self._levels[number]
@@ -89,17 +89,17 @@ class Textures:
     def used(self) -> int:
         return len(self._seen)
 
-    def get(self, key: Hashable, colour: bool, read: Callable[[], bytes]) -> ImageTexture:
+    def get(self, key: Hashable, color: bool, read: Callable[[], bytes]) -> ImageTexture:
         """The texture that `read` gives the image file of. Raises SceneError like `ImageTexture`, or for too many."""
-        if (key, colour) not in self._kept:
-            texture = ImageTexture(read(), colour, _MAX_PIXELS_OF_A_FILE - self._pixels)
+        if (key, color) not in self._kept:
+            texture = ImageTexture(read(), color, _MAX_PIXELS_OF_A_FILE - self._pixels)
             self._pixels += texture.pixels
-            self._seen.add((key, colour))
-            self._kept[key, colour] = texture
+            self._seen.add((key, color))
+            self._kept[key, color] = texture
             if len(self._kept) > _KEPT:
                 self._kept.popitem(last=False)
-        self._kept.move_to_end((key, colour))
-        return self._kept[key, colour]
+        self._kept.move_to_end((key, color))
+        return self._kept[key, color]
 
 
 def require_few_pixels(files: Iterable[io.BufferedIOBase]) -> None:
@@ -118,8 +118,8 @@ def linear(srgb: np.ndarray) -> np.ndarray:
     return _LINEAR[srgb]
 
 
-def _centres() -> np.ndarray:
-    """[36, 3] barycentric coordinates of the centres of the equal parts of a triangle."""
+def _centers() -> np.ndarray:
+    """[36, 3] barycentric coordinates of the centers of the equal parts of a triangle."""
     cells = [(i, j) for i in range(_SIDE) for j in range(_SIDE - i)]
     upright = np.array([(i + 1 / 3, j + 1 / 3) for i, j in cells])
     inverted = np.array([(i + 2 / 3, j + 2 / 3) for i, j in cells if i + j < _SIDE - 1])
@@ -127,10 +127,10 @@ def _centres() -> np.ndarray:
     return np.stack([1 - u - v, u, v], axis=1)
 
 
-_CENTRES = _centres()
+_CENTERS = _centers()
 
 
-def _pixels(content: bytes, colour: bool, left: int) -> tuple[Float[np.ndarray, "h w 4"], int]:
+def _pixels(content: bytes, color: bool, left: int) -> tuple[Float[np.ndarray, "h w 4"], int]:
     """What is kept of an image file, and how many pixels it held."""
     try:
         image = _opened(io.BytesIO(content))
@@ -151,7 +151,7 @@ def _pixels(content: bytes, colour: bool, left: int) -> tuple[Float[np.ndarray, 
     strips = []
     for top in range(0, height, rows):
         strip = image.crop((0, top, width, min(top + rows, height)))
-        strips.append(_reduced(_decoded(np.asarray(strip.convert("RGBA")), colour), step))
+        strips.append(_reduced(_decoded(np.asarray(strip.convert("RGBA")), color), step))
     return np.concatenate(strips), width * height
 
 
@@ -166,8 +166,8 @@ def _too_many_pixels() -> SceneError:
     return SceneError(f"its textures have more than {_MAX_PIXELS_OF_A_FILE:,} pixels: make them smaller")
 
 
-def _decoded(values: np.ndarray, colour: bool) -> np.ndarray:
-    decoded = (_LINEAR if colour else _PLAIN)[values]  # np.take would need four times as long
+def _decoded(values: np.ndarray, color: bool) -> np.ndarray:
+    decoded = (_LINEAR if color else _PLAIN)[values]  # np.take would need four times as long
     decoded[..., 3] = _PLAIN[values[..., 3]]
     return decoded
 

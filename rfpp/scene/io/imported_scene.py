@@ -37,7 +37,7 @@ class Part:
         see_through: name of the transparent material and the reason; empty if the part is opaque.
 
     Raises:
-        SceneError: If a face index is out of range, or a vertex or an emission is NaN, infinite or too large.
+        SceneError: If a face index is out of range, or a vertex or a material is NaN, infinite or too large.
     """
 
     name: str
@@ -50,7 +50,7 @@ class Part:
     def __post_init__(self) -> None:
         if len(self.faces) and not 0 <= self.faces.min() <= self.faces.max() < len(self.vertices):
             raise SceneError(f"'{self.name}': a face refers to none of {len(self.vertices)} vertices: export it again")
-        for what, values in (("a vertex", self.vertices), ("its emission", self.material)):
+        for what, values in (("a vertex", self.vertices), ("its material", self.material)):
             if not (np.abs(values) < BEYOND).all():
                 raise SceneError(f"'{self.name}': {what} is NaN, infinite or too large: repair or export it again")
 
@@ -144,16 +144,3 @@ def z_up(vectors: np.ndarray) -> np.ndarray:
     """Rotate [..., 3] vectors of a Y-up world about X to Z up."""
     x, y, z = np.moveaxis(vectors, -1, 0)
     return np.stack([x, -z, y], axis=-1)
-
-
-def fans(sizes: Int[np.ndarray, " p"]) -> tuple[Int[np.ndarray, "t 3"], Int[np.ndarray, " t"]]:
-    """Triangulate consecutively stored polygons, given their numbers of corners.
-
-    Returns:
-        The triangles' corners as positions in the storage, and the polygon of each triangle.
-    """
-    count = np.maximum(sizes - 2, 0)
-    polygon = np.repeat(np.arange(len(sizes)), count)
-    first = (np.cumsum(sizes) - sizes)[polygon]
-    step = np.arange(len(polygon)) - np.repeat(np.cumsum(count) - count, count)
-    return np.stack([first, first + step + 1, first + step + 2], axis=1), polygon

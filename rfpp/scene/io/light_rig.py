@@ -92,7 +92,7 @@ def irradiance(parts: Sequence[Part]) -> float:
 def _sampled(
     rng: np.random.Generator, parts: Sequence[Part], weights: Sequence[np.ndarray]
 ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"], float]:
-    """Draw faces in proportion to their weight; return their centres, unit normals, and the weight of each draw."""
+    """Draw faces in proportion to their weight; return their centers, unit normals, and the weight of each draw."""
     weight = np.concatenate(weights)
     if not weight.sum() > 0:
         return np.zeros((1, 3)), np.zeros((1, 3)), 0.0
@@ -110,13 +110,13 @@ def _rig_light(camera: Camera, name: str, azimuth: float, elevation: float, radi
     return _triangle(name, _LIGHT_DISTANCE * towards, towards, _LIGHT_EDGE, np.full(3, radiance))
 
 
-def _triangle(name: str, centre: np.ndarray, normal: np.ndarray, edge: float, radiance: np.ndarray) -> Part:
+def _triangle(name: str, center: np.ndarray, normal: np.ndarray, edge: float, radiance: np.ndarray) -> Part:
     """Return an equilateral triangle."""
     aside = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
     aside /= np.linalg.norm(aside)
     angles = np.radians([0, 120, 240])[:, None]
     corners = np.cos(angles) * aside + np.sin(angles) * np.cross(normal, aside)
-    return _light(name, centre + edge / np.sqrt(3) * corners, np.array([[0, 1, 2]]), radiance)
+    return _light(name, center + edge / np.sqrt(3) * corners, np.array([[0, 1, 2]]), radiance)
 
 
 def _light(name: str, vertices: np.ndarray, faces: np.ndarray, radiance: np.ndarray) -> Part:

@@ -18,14 +18,10 @@ from rfpp.errors import SceneError, one_line
 MAX_BYTES = 2**29
 #: Limit of text files in bytes.
 MAX_TEXT_BYTES = 2**27
-#: Limit of a line in bytes: a polygon of a hundred thousand corners.
-MAX_LINE_BYTES = 2**20
 #: Limit of text that is parsed into Python objects, which take up to thirty times its size.
 MAX_JSON_BYTES = 2**25
 #: Forty times the triangles of training scenes; loads within ten seconds and 2 GB on two cores.
 MAX_TRIANGLES = 3_000_000
-#: Limit of lines that are read one by one, which takes microseconds each.
-MAX_SINGLE_LINES = 1_000_000
 #: Limits of list entries that become Python objects, and of parts of a scene.
 MAX_ENTRIES, MAX_PARTS = 100_000, 20_000
 

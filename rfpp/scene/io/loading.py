@@ -19,10 +19,8 @@ from rfpp.scene.io.fitting import Transparent, fitted
 from rfpp.scene.io.gltf import read_gltf
 from rfpp.scene.io.imported_scene import ImportedScene, z_up
 from rfpp.scene.io.limits import require_bounded
-from rfpp.scene.io.obj import read_obj
-from rfpp.scene.io.ply import read_ply
+from rfpp.scene.io.mesh_scenes import read_obj, read_ply, read_stl
 from rfpp.scene.io.renderformer_json import load_json
-from rfpp.scene.io.stl import read_stl
 from rfpp.scene.packed import PackedScene
 from rfpp.scene.spec import Scene
 

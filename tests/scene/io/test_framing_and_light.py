@@ -134,7 +134,7 @@ def test_dark_scenes_get_three_lights() -> None:
 def test_the_lights_that_are_added_burn_nothing_out() -> None:
     """Not even white, in the corner of the box that is nearest to them, and turned towards them."""
     lights, rng = quietly(with_lights, ImportedScene("a", (part(),)), CAMERA, FILE)[1:], np.random.default_rng(0)
-    places = rng.uniform(-0.5, 0.5, (300, 3)).round()  # corners, centres of sides and of the box
+    places = rng.uniform(-0.5, 0.5, (300, 3)).round()  # corners, centers of sides and of the box
     brightest = 0.0
     for place, normal in zip(places, rng.normal(size=(300, 3)), strict=True):
         aside = np.cross(normal, rng.normal(size=3))

@@ -96,15 +96,15 @@ def test_materials_are_mapped_as_documented(material: dict, expected: list, tmp_
     np.testing.assert_allclose(material_row(material, tmp_path)[:7], expected, atol=1e-6)
 
 
-def test_no_material_is_grey_and_colours_of_vertices_tint(tmp_path: Path) -> None:
+def test_no_material_is_gray_and_colors_of_vertices_tint(tmp_path: Path) -> None:
     builder = GltfBuilder()
-    colours = np.array([[255, 0, 0, 255]] * 4)
-    attributes = {"COLOR_0": builder.accessor(colours, "u1", normalized=True)}
+    colors = np.array([[255, 0, 0, 255]] * 4)
+    attributes = {"COLOR_0": builder.accessor(colors, "u1", normalized=True)}
     builder.node(builder.primitive(attributes=attributes))
     builder.node(builder.primitive())
-    red, grey = read(builder, tmp_path).parts
+    red, gray = read(builder, tmp_path).parts
     assert red.material[0, 0] > 0.5 > red.material[0, 1] == 0
-    assert len(set(grey.material[0, DIFFUSE])) == 1
+    assert len(set(gray.material[0, DIFFUSE])) == 1
 
 
 def test_textures_of_roughness_metal_and_emission_vary_over_the_faces(tmp_path: Path) -> None:

@@ -45,11 +45,11 @@ def render_import(path: Path, image: Path) -> None:
 
 
 def room(light: dict) -> GltfBuilder:
-    """A floor, a wall and a turned box of different colours, twenty metres large and away from the origin."""
+    """A floor, a wall and a turned box of different colors, twenty metres large and away from the origin."""
     builder = GltfBuilder()
 
-    def dull(*colour: float) -> dict:
-        pbr = {"baseColorFactor": [*colour, 1], "metallicFactor": 0, "roughnessFactor": 1}
+    def dull(*color: float) -> dict:
+        pbr = {"baseColorFactor": [*color, 1], "metallicFactor": 0, "roughnessFactor": 1}
         return {"pbrMetallicRoughness": pbr, "extensions": {"KHR_materials_specular": {"specularFactor": 0}}}
 
     quarter = np.sqrt(0.5)
@@ -82,7 +82,7 @@ def room(light: dict) -> GltfBuilder:
     ("light", "tolerance"),
     [
         ({"type": "point", "intensity": 683.0 * 300, "color": [1, 0.8, 0.6]}, 0.1),
-        # Its triangle is near: right at the box's centre, a quarter too dark on the floor, too bright above.
+        # Its triangle is near: right at the box's center, a quarter too dark on the floor, too bright above.
         ({"type": "directional", "intensity": 683.0 * 3}, 0.35),
     ],
     ids=["point", "directional"],

@@ -14,11 +14,11 @@ from rfpp.scene.triangles import EMISSION
 FILE = Path("a.ply")
 
 
-def ball(centre, radius: float = 0.1, name: str = "ball", emission: float = 0.0) -> Part:
+def ball(center, radius: float = 0.1, name: str = "ball", emission: float = 0.0) -> Part:
     mesh = trimesh.creation.icosphere(0, radius)
     material = plain_material(20)
     material[:, EMISSION] = emission
-    return Part(name, mesh.vertices + np.asarray(centre), np.asarray(mesh.faces, np.int64), material, smooth=True)
+    return Part(name, mesh.vertices + np.asarray(center), np.asarray(mesh.faces, np.int64), material, smooth=True)
 
 
 def together(parts: list[Part], unwelded: bool = False) -> Part:
@@ -33,10 +33,10 @@ def together(parts: list[Part], unwelded: bool = False) -> Part:
 def test_a_soup_of_triangles_falls_into_its_pieces_with_their_materials() -> None:
     pieces = list(components(together([ball((i, 0, 0)) for i in range(5)])))
     assert [len(piece) for piece in pieces] == [20] * 5
-    centres = [piece.vertices[:, 0].mean() for piece in pieces]
-    assert sorted(np.round(centres)) == [0, 1, 2, 3, 4]
-    for piece, centre in zip(pieces, centres, strict=True):
-        np.testing.assert_allclose(piece.material, round(centre) / 1000, atol=1e-7)
+    centers = [piece.vertices[:, 0].mean() for piece in pieces]
+    assert sorted(np.round(centers)) == [0, 1, 2, 3, 4]
+    for piece, center in zip(pieces, centers, strict=True):
+        np.testing.assert_allclose(piece.material, round(center) / 1000, atol=1e-7)
 
 
 def test_fragments_join_the_nearest_body_and_no_triangle_is_lost() -> None:

@@ -27,7 +27,7 @@ def halves(size: int) -> np.ndarray:
 
 @pytest.mark.parametrize("size", [2, 64, 301, 3000])
 def test_the_mean_over_a_triangle_is_that_of_the_light(size: int) -> None:
-    texture = ImageTexture(png(halves(size)), colour=True)
+    texture = ImageTexture(png(halves(size)), color=True)
     whole = np.array([[[0, 0], [1, 0], [0, 1]], [[0.1, 0], [0.4, 0], [0.1, 1]], [[0.6, 0], [0.9, 0], [0.6, 1]]])
     # Of the lower left triangle a quarter lies in the right half.
     np.testing.assert_allclose(texture.means(whole)[:, 0], [0.25, 0, 1], atol=0.04)
@@ -35,19 +35,19 @@ def test_the_mean_over_a_triangle_is_that_of_the_light(size: int) -> None:
 
 def test_fine_detail_under_a_large_triangle_is_averaged_not_sampled() -> None:
     checker = np.indices((512, 512)).sum(axis=0)[..., None] % 2 * np.full(3, 255)
-    texture = ImageTexture(png(checker), colour=True)
+    texture = ImageTexture(png(checker), color=True)
     uv = np.add(np.random.default_rng(0).uniform(size=(50, 1, 2)), [[[0, 0], [0.7, 0.1], [0.1, 0.7]]])
     np.testing.assert_allclose(texture.means(uv)[:, 0], 0.5, atol=0.02)
 
 
-def test_colours_are_linear_and_numbers_are_not_touched() -> None:
+def test_colors_are_linear_and_numbers_are_not_touched() -> None:
     content, uv = png(np.full((4, 4, 3), 188)), np.zeros((1, 3, 2))
-    np.testing.assert_allclose(ImageTexture(content, colour=True).means(uv)[0], [0.503] * 3 + [1], atol=1e-3)
-    np.testing.assert_allclose(ImageTexture(content, colour=False).means(uv)[0], [188 / 255] * 3 + [1], atol=1e-3)
+    np.testing.assert_allclose(ImageTexture(content, color=True).means(uv)[0], [0.503] * 3 + [1], atol=1e-3)
+    np.testing.assert_allclose(ImageTexture(content, color=False).means(uv)[0], [188 / 255] * 3 + [1], atol=1e-3)
 
 
 def test_textures_repeat() -> None:
-    texture = ImageTexture(png(halves(8)), colour=True)
+    texture = ImageTexture(png(halves(8)), color=True)
     small = np.array([[0.7, 0.5], [0.8, 0.5], [0.7, 0.6]])
     for shift in (0, 1, -3, 1e6):
         np.testing.assert_allclose(texture.means(small[None] + shift)[0], 1)
@@ -86,4 +86,4 @@ def claiming(width: int, height: int) -> bytes:
 )
 def test_what_is_no_image_or_an_absurd_one_is_refused(content: bytes, message: str) -> None:
     with pytest.raises(SceneError, match=message):
-        ImageTexture(content, colour=True)
+        ImageTexture(content, color=True)

@@ -60,7 +60,7 @@ def test_triangles_materials_and_cameras_come_back(tmp_path):
 def test_connected_parts_of_one_material_become_objects(tmp_path):
     scene = load_scene(write(tmp_path / "room.h5"))
     sizes = np.bincount(scene.triangles.object_index)
-    # a floor, a ball, two lights, and a box whose twelve triangles all have a colour of their own
+    # a floor, a ball, two lights, and a box whose twelve triangles all have a color of their own
     assert sorted(sizes) == sorted([2, 1280, 1, 1, *[1] * 12])
     for index in range(scene.triangles.num_objects):
         material = scene.triangles.material[scene.triangles.object_index == index]

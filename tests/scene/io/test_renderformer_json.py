@@ -165,7 +165,8 @@ def test_a_bad_scene_is_one_line_naming_the_file(folder: Path, case: str) -> Non
 
 
 @pytest.mark.parametrize(
-    ("vertex", "face", "message"), [("v 0 1 0", "f 1 2 9", "line 4"), ("v nan 1 0", "f 1 2 3", "NaN")]
+    ("vertex", "face", "message"),
+    [("v 0 1 0", "f 1 2 9", "index 8 is out of bounds"), ("v nan 1 0", "f 1 2 3", "'v nan 1 0' cannot be read")],
 )
 def test_a_bad_mesh_names_scene_object_and_mesh(folder: Path, vertex: str, face: str, message: str) -> None:
     (folder / "ball.obj").write_text(f"v 0 0 0\nv 1 0 0\n{vertex}\n{face}\n")
@@ -204,14 +205,14 @@ def test_above_one_only_warns(folder: Path) -> None:
 def varied_scene() -> Scene:
     ball, torus = trimesh.creation.icosphere(1), trimesh.creation.torus(1, 0.3)
     ball, torus = Mesh(ball.vertices, ball.faces), Mesh(torus.vertices, torus.faces)
-    grey = Material(diffuse=(0.1, 0.2, 0.3), specular=(0.3, 0.3, 0.3), roughness=0.123)
-    random = grey.model_copy(update={"rand_tri_diffuse_seed": 0, "smooth_shading": True})
+    gray = Material(diffuse=(0.1, 0.2, 0.3), specular=(0.3, 0.3, 0.3), roughness=0.123)
+    random = gray.model_copy(update={"rand_tri_diffuse_seed": 0, "smooth_shading": True})
     light = Material(diffuse=(1, 1, 1), specular=(0, 0, 0), roughness=1, emissive=(2500.5, 1, 0))
     return Scene(
         name="varied",
         objects=(
             SceneObject(name="a ball/1", mesh=ball, material=random, transform=Transform(scale=(-0.1, 0.2, 0.3))),
-            SceneObject(name="ring", mesh=torus, material=grey, transform=Transform(rotation=(12.3, -45, 170))),
+            SceneObject(name="ring", mesh=torus, material=gray, transform=Transform(rotation=(12.3, -45, 170))),
             SceneObject(name="a_ball_1", mesh=ball, material=light, transform=Transform(translation=(0, 1 / 3, 2.1))),
         ),
         cameras=(Camera(position=(0.1, -1.7, 0.3), look_at=(0, 0, 0), up=(0.1, 0, 1), fov=37.5),),
@@ -251,8 +252,8 @@ def test_a_material_for_each_face_is_checked(change: Callable) -> None:
 def test_faces_without_area_take_their_material_with_them() -> None:
     mesh = Mesh(np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]]), np.array([[0, 1, 2], [0, 1, 1], [1, 3, 2]]))
     rows = np.repeat([[0.1], [0.2], [0.3]], 10, axis=1).astype(np.float32)
-    grey = Material(diffuse=(0.1,) * 3, specular=(0,) * 3, roughness=1)
-    scene = Scene(objects=(SceneObject(name="a", mesh=mesh, material=grey, face_material=rows),))
+    gray = Material(diffuse=(0.1,) * 3, specular=(0,) * 3, roughness=1)
+    scene = Scene(objects=(SceneObject(name="a", mesh=mesh, material=gray, face_material=rows),))
     np.testing.assert_array_equal(SceneTriangles.from_scene(scene).material[:, 0], rows[[0, 2], 0])
 
 
