@@ -15,7 +15,6 @@ def reason_to_refuse(host: str | None, origin: str | None) -> str | None:
     """Return the reason to refuse a request; None accepts it.
 
     Args:
-        host: `Host` header.
         origin: `Origin` header, which only browsers send.
     """
     try:

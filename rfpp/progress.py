@@ -32,7 +32,6 @@ def counting(console: Console, things: str, each: int = 1) -> Iterator[tuple[Cal
     The bar is visible unless everything is done at the first call. The note is optional; None keeps the last one.
 
     Args:
-        console: Output.
         things: Name of what is counted, in the plural.
         each: Number of things per step of the work.
     """
@@ -88,8 +87,6 @@ class ProgressLines:
 
     Args:
         things: Name of what is counted, in the plural.
-        write: Function that writes a line.
-        every_n_seconds: Seconds between lines.
         first_after: Number of things before the first line, which gives a first estimate of the time.
         clock: Function that returns the time in seconds.
     """
@@ -108,13 +105,7 @@ class ProgressLines:
         self._last_line: float | None = None
 
     def __call__(self, done: int, total: int, note: str = "") -> None:
-        """Report progress; the first call gives the count that was done before.
-
-        Args:
-            done: Things done.
-            total: Things in all.
-            note: End of the line.
-        """
+        """Report progress; the first call gives the count that was done before."""
         now = self.clock()
         if self._start is None:
             self._start = now, done

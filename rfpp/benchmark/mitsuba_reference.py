@@ -20,14 +20,7 @@ _BETWEEN = 2e-4
 
 
 def render(scene: PackedScene, resolution: int, samples: int, seed: int = 0) -> Float[np.ndarray, "v h w 3"]:
-    """Path-trace a scene of constant materials per object, with light paths of any length.
-
-    Args:
-        scene: Scene with cameras.
-        resolution: Pixels along both sides.
-        samples: Paths per pixel.
-        seed: Seed of the paths.
-    """
+    """Path-trace a scene of constant materials per object, with light paths of any length."""
     import mitsuba  # optional
 
     mitsuba.set_variant("scalar_rgb")

@@ -30,7 +30,6 @@ class Cluster:
         seconds_per_batch: Fixed time per batch and device, e.g. kernel launches and the optimizer.
         device_bandwidth: Bytes per second into and out of a device within its node.
         node_bandwidth: Bytes per second into and out of a node, over all its network cards.
-        latency: Seconds per message.
         bucket_bytes: Gradients that are averaged together; the last bucket does not overlap with the backward pass.
         overlap: Share of the backward pass with which communication can overlap; 0 on the same cores.
         images_per_second: Images that a device's loader processes decode.

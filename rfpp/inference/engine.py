@@ -35,7 +35,6 @@ class Engine(Protocol):
         """Yield the linear radiance of each camera, as soon as it is finished.
 
         Args:
-            plan: Scene and settings.
             light: Object whose light alone counts; None for all lights. Only if `is_linear`.
             is_refined: Whether finished images pass through the refinement, if there is one.
         """

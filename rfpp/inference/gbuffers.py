@@ -44,9 +44,6 @@ class GBufferSource:
         """Return a function from view number to stacked channels; rays are cast when it is called.
 
         Args:
-            scene: The scene with its cameras.
-            height: Image height in pixels.
-            width: Image width in pixels.
             light_samples: Shadow rays per light and pixel, divided among its samples, of which each gets at least one.
             points: Samples along each side of a pixel; the channels are so many times as high and wide.
         """

@@ -31,8 +31,6 @@ class NetworkEngine:
 
     Args:
         network: The network; its weights must not change afterwards, and most are converted to `dtype`.
-        device: Device to run on.
-        dtype: Type of matrix products.
     """
 
     is_linear, supersamples = False, False

@@ -36,8 +36,6 @@ class ObjectEncoder:
 
     Args:
         network: Network with object tokens, in evaluation mode, on `device`; its weights must not change afterwards.
-        device: Device of the network.
-        max_bytes: Limit of the cache.
         triangles_at_once: Triangles of objects that are encoded together; None chooses by the device.
     """
 

@@ -30,7 +30,6 @@ class RadiosityEngine:
 
     Args:
         radiosity: Solver and refinement; the refinement's weights must not change afterwards.
-        device: Device to run on.
         dtype: Type of the refinement's matrix products.
     """
 
@@ -69,7 +68,6 @@ class RadiosityEngine:
 
         Args:
             radiance: Linear radiance, unrefined.
-            scene: The scene with its cameras.
             points: Samples along each side of a pixel for the G-buffer.
         """
         images = []

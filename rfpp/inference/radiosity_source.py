@@ -48,7 +48,6 @@ class RadiositySource:
         """Return the scene's cells and their dependence on materials.
 
         Args:
-            triangles: The scene.
             light: Object whose light alone counts; None for all lights.
         """
         key = ("cells", geometry_digest(triangles), digest_of(triangles.material), light)
@@ -73,15 +72,7 @@ class RadiositySource:
 
 
 def as_tensors(seen: SeenView, scene: PackedScene, view: int, cells: int, device: torch.device) -> View:
-    """Move a view to a device.
-
-    Args:
-        seen: The view.
-        scene: Its scene.
-        view: Number of the camera.
-        cells: C, the number of cells.
-        device: Device to move to.
-    """
+    """Move a view to a device."""
 
     def on_device(last: np.ndarray) -> torch.Tensor:
         return torch.from_numpy(np.ascontiguousarray(np.moveaxis(last, -1, 0))).to(device)

@@ -34,7 +34,6 @@ class DifferentiableInputs:
     """Cells and views of a scene as functions of its materials.
 
     Args:
-        source: Cells and views.
         tensors: The scene with materials that are tensors.
         plan: Settings of the render, for the scene of `tensors`.
     """
@@ -64,12 +63,7 @@ class DifferentiableInputs:
         return replace(value, diffuse=diffuse, specular=specular, direct=direct, bounced=bounced).conserving()
 
     def view(self, number: int, cells: int) -> View:
-        """Return a view with derivatives of its channels and bounced light.
-
-        Args:
-            number: Number of the camera.
-            cells: C, the number of cells.
-        """
+        """Return a view with derivatives of its channels and bounced light."""
         seen = self.source.seen(self.plan, number, traced=True)
         value = as_tensors(seen, self.tensors.scene, number, cells, self.device)
         channels, bounced = self._with_albedos(seen, dict(value.channels)), value.bounced

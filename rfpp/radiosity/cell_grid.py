@@ -30,7 +30,6 @@ class CellGrid:
     lit differently, and so are the two sides of a sheet.
 
     Attributes:
-        triangles: the scene.
         centroid: [O, 3] of each object's surface.
         axes: [O, 3, 3] rows: its principal axes, longest first.
         half: [O, 3] how far it reaches along them.

@@ -28,13 +28,7 @@ _SEEN = 16
 
 @dataclass(frozen=True, eq=False)
 class Rays:
-    """RAYS cosine-distributed rays from each cell, cell by cell.
-
-    Attributes:
-        origin: Starting points.
-        direction: Unit directions.
-        cosine: Cosines to the surface normal.
-    """
+    """RAYS cosine-distributed rays from each cell, cell by cell."""
 
     origin: Float[np.ndarray, "n 3"]
     direction: Float[np.ndarray, "n 3"]
@@ -66,10 +60,6 @@ def find_places(triangles: SceneTriangles, caster: RayCaster) -> CellPlaces:
     Sides that no light reaches, like the inside of a closed object, get no cells. Points of a cell are where rays from
     other cells end, because hidden parts (a wall behind another, a floor under an object) neither receive light nor
     are seen.
-
-    Args:
-        triangles: The scene.
-        caster: Ray caster over all triangles.
     """
     rng = np.random.default_rng(0)
     grid = CellGrid.over(triangles)

@@ -58,8 +58,6 @@ def split_cells(
     """Split cells at the walls that stand on them.
 
     Args:
-        triangles: The scene.
-        caster: Ray caster over all triangles.
         position: Points of the cells, at least one of each.
         normal: Their normals.
         cell: Their cells.

@@ -48,7 +48,6 @@ class LitCells:
     """Indirect light at cells after k bounces, as irradiance / π.
 
     Attributes:
-        cells: The cells.
         indirect: [C, 3] light that has bounced between 1 and k times.
         before: [C, 3] light, direct light included, that has bounced at most k - 1 times; zero for k = 0.
     """

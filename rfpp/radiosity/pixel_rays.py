@@ -57,12 +57,8 @@ def see_cells(
 
     Args:
         gbuffer: First hits of the sampler's scene.
-        c2w: Camera-to-world matrix of the G-buffer.
         fov: Full angle in degrees along the longer image side.
-        sampler: Scene and lights.
-        cells: Map from points to cells.
         light_samples: Rays per pixel and lobe, up to MOST_RAYS.
-        seed: Seed of the random numbers.
         traced: Whether to record the derivatives of `bounced`.
     """
     points, rays = gbuffer.points, min(light_samples, MOST_RAYS)

@@ -46,7 +46,6 @@ class Radiosity(nn.Module):
         """Return the cells after 0, 1, … bounces.
 
         Args:
-            cells: Cells of one scene.
             bounces: Number of bounces; None for as many as the scene needs.
         """
         lit = [lit_directly(cells)]

@@ -50,12 +50,7 @@ def follow_rays(
     """Cast rays, and each one further from where it ends.
 
     Args:
-        sampler: Scene and lights.
-        cells: Map from points to cells.
-        origin: Starting points.
-        direction: Unit directions.
         density: Probability density per solid angle with which the rays were drawn.
-        rng: Source of the random numbers.
     """
     count = len(origin)
     cell, onward, triangle = np.empty((3, count), np.int64)

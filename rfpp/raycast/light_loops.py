@@ -47,13 +47,8 @@ def light_sample(
     irradiance of a sample stays bounded beside a light. Others are sampled by emitted power.
 
     Args:
-        scene: The scene.
-        light: Number of the light.
         target: Result of `target_of`, for the same point.
-        point: Point that is lit.
         normal: Its unit normal.
-        u: Uniform number.
-        v: Another one.
 
     Returns:
         Emitter, direction, density per solid angle, unoccluded irradiance of mean radiance / density, and whether the

@@ -148,7 +148,6 @@ def density_of_lobes(diffuse: float, specular: float, cosine: float, by_lobe: fl
 
     Args:
         diffuse, specular: mean albedos.
-        cosine: of the ray.
         by_lobe: density of the glossy lobe's own rays.
     """
     return (diffuse * cosine / np.pi + specular * by_lobe) / max(diffuse + specular, 1e-12)

@@ -118,16 +118,10 @@ def of_light(
     Because other pixels' samples are independent, this is unbiased; where a light is wholly visible it is exact.
 
     Args:
-        start: First point.
-        stop: End of the points.
-        scene: The scene.
-        light: Number of the light.
-        points: Points of the image.
         around: [pixels] results of `shares_around`.
         edge: [pixels] whether all samples were taken.
         few: Samples of points away from edges.
         many: Samples of points at edges.
-        sums: Results of `light_samples`.
         room: Scratch space for `rfpp.raycast.polygon_light.unhidden_each`.
         diffuse: Irradiance / π, added to.
         glossy: Glossy light, added to.
@@ -161,16 +155,7 @@ def shares_around(
     of_pixels: Float[np.ndarray, "pixels 2"],
     around: Float[np.ndarray, " pixels"],
 ) -> None:
-    """Fill in whether all samples in the eight pixels around each pixel see a light (1) or not (0).
-
-    Args:
-        points: Points of the image.
-        sums: Results of `light_samples`.
-        height: Image height in pixels.
-        width: Image width in pixels.
-        of_pixels: Zeros, as scratch space.
-        around: Result.
-    """
+    """Fill in whether all samples in the eight pixels around each pixel see a light (1) or not (0)."""
     for row in range(len(points.pixel)):
         of_pixels[points.pixel[row], 0] += sums[row, WHOLE]
         of_pixels[points.pixel[row], 1] += sums[row, VISIBLE]

@@ -23,8 +23,6 @@ def within_budget(scene: Scene, triangles: int, source: str) -> Scene:
     object takes the material of the nearest original face.
 
     Args:
-        scene: Any scene.
-        triangles: Maximum number of triangles.
         source: Name of the scene in messages.
 
     Raises:

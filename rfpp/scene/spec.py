@@ -130,8 +130,6 @@ class SceneObject(Strict):
     Attributes:
         name: unique in its scene.
         mesh: in its own coordinates, before `transform`.
-        material: of the surface.
-        transform: mesh to world.
         face_material: [F, 10] float32 rows of `SceneTriangles.material`, if the material varies over the faces; they
             replace `material`, which then holds their area-weighted mean, and the shading.
     """

@@ -76,7 +76,6 @@ def merge(recipe: Recipe) -> Manifest:
 
     Raises:
         ShardError: If shards are missing or have other settings.
-        UserError: If the disk is full.
     """
     recipe.require_same_settings()
     found = {shard.file: shard.finished(recipe.root, recipe.fingerprint) for shard in recipe.all_shards}

@@ -30,17 +30,13 @@ class Viewer:
     """Web page of a scene; use as a context manager.
 
     Args:
-        renderer: Renderer of the pictures.
         scene: Scene with at least one camera; a packed one cannot be edited.
         tone_maps: Tone maps by name; the first is the default.
-        cycles: Settings of path-traced references.
-        host: Address to listen on.
         port: Port to listen on, or the next free one.
         longer_side: Pixels of an image at rest.
         moving_seconds: Target time of an image in motion.
 
     Raises:
-        SceneError: If there is no camera.
         UserError: If the address is not one of this machine.
     """
 

@@ -15,7 +15,6 @@ class SceneRecord:
 
     Attributes:
         objects: Number of objects, lights included.
-        lights: Number of lights.
         predictor: "model" or the name of a baseline.
         views: Value by metric name, for each view.
     """

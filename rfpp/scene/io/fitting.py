@@ -46,8 +46,6 @@ def fitted(scene: ImportedScene, path: Path, transparent: Transparent, backdrop:
     """Fit a scene; see the module.
 
     Args:
-        scene: Content of a file.
-        path: Its name in warnings.
         transparent: See `load_scene`.
         backdrop: See `load_scene`.
 

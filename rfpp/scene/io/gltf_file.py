@@ -25,11 +25,7 @@ _MAX_ELEMENTS = 20 * MAX_TRIANGLES
 
 
 class GltfFile:
-    """A .gltf or .glb file; buffers are read when they are needed. Every method raises SceneError without its name.
-
-    Attributes:
-        document: Its JSON.
-    """
+    """A .gltf or .glb file; buffers are read when they are needed. Every method raises SceneError without its name."""
 
     def __init__(self, text: bytes, chunk: bytes | None, folder: Path | None) -> None:
         self._folder, self._chunk = folder, chunk

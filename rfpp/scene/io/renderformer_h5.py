@@ -102,8 +102,6 @@ def save_h5(scene: PackedScene, path: Path, images: Float[np.ndarray, "v h w 3"]
     """Write a scene in RenderFormer's H5 layout with materials in half precision; return the path.
 
     Args:
-        scene: Triangles and cameras.
-        path: File to write.
         images: Linear radiance for each camera, stored in half precision.
 
     Raises:

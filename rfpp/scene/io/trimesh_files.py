@@ -40,7 +40,6 @@ def load_obj(content: bytes, by_name: bool) -> tuple[dict[tuple[str, str], Trime
     """Load the mesh of each group in an OBJ file.
 
     Args:
-        content: File content.
         by_name: Distinguish groups by name and material; otherwise by material.
 
     Returns:

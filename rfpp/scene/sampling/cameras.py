@@ -17,7 +17,6 @@ class CameraSampler(HasIntervals):
 
     Attributes:
         count: cameras per scene.
-        distance: from the target.
         target_jitter: displacement of the target from the scene's centre, per axis.
         up_jitter: displacement of the up vector from +z, per axis.
         fov: full angle in degrees along the longer image side.

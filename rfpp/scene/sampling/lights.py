@@ -20,7 +20,6 @@ class LightSampler(HasIntervals):
     """White one-triangle objects on a shell above the scene, in front of the background.
 
     Attributes:
-        count: number of lights.
         strength: radiance of a light times the number of lights, so that their sum stays in the interval.
         scale: of the triangle, per axis.
         rotation: degrees, per axis.

@@ -20,7 +20,6 @@ class MaterialSampler(HasIntervals):
         specular_share: white specular share of the reflectance; the rest is diffuse.
         diffuse_color: factor of the diffuse part, drawn per channel.
         roughness: log-uniform in roughness + `roughness_shift`, so that mirrors are common but not the rule.
-        smooth_shading: probability of smooth shading.
     """
 
     reflectance: Interval

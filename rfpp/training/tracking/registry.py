@@ -20,7 +20,6 @@ def checkpoint_file(checkpoint: str, tracking_uri: str | None, folder: Path) -> 
 
     Raises:
         CheckpointError: If there is no such model, or it cannot be downloaded.
-        ModuleNotFoundError: If MLflow is not installed.
     """
     if not checkpoint.startswith("models:/"):
         return checkpoint
@@ -42,7 +41,6 @@ def log_results(tracking_uri: str, run_id: str, metrics: dict[str, float], files
 
     Raises:
         UserError: If MLflow does not have the run, or cannot be reached.
-        ModuleNotFoundError: If MLflow is not installed.
     """
     from mlflow.exceptions import MlflowException
 

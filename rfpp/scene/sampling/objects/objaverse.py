@@ -83,7 +83,6 @@ def _downloaded(uids: list[str]) -> dict[str, str]:
 
     Raises:
         MissingDependencyError: If the package is not installed.
-        UserError: If the network fails.
     """
     package = _package()
     # the package prints a line per file and warns of every unknown uid

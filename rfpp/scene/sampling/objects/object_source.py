@@ -25,11 +25,7 @@ class ObjectSource(Protocol):
         ...
 
     def account(self, configured: Mapping[str, Any]) -> dict[str, Any]:
-        """Return a JSON-able account of the meshes, part of a data set's fingerprint.
-
-        Args:
-            configured: The source in YAML.
-        """
+        """Return a JSON-able account of the meshes, part of a data set's fingerprint."""
         ...
 
     def libraries(self) -> tuple[Any, ...]:
