@@ -86,16 +86,17 @@ def load_ply(content: bytes, **options: Any) -> TrimeshArrays:
     header = _PLY_HEADER.match(content)
     if header is None:
         raise SceneError("is not a PLY file with a whole header: export it again")
-    body, rows = content[header.end() :], 0
+    size, rows = len(content) - header.end(), 0
     for name, count in re.findall(rb"(?m)^[ \t]*element[ \t]+(\S+)[ \t]+(\S+)", header[0]):
-        if not count.isdigit() or len(count) > 18 or int(count) > len(body):
+        if not count.isdigit() or len(count) > 18 or int(count) > size:
             raise SceneError(f"claims {_shown(count)} of '{_shown(name)}', more than it holds: copy or export it again")
         require_bounded(int(count))
         rows += int(count)
     if b"ascii" in header[0].lower().split(b"\n", 2)[1]:
+        if size > MAX_TEXT_BYTES:
+            raise SceneError(f"holds {size:,} bytes of text: save it as binary PLY")
+        body = content[header.end() :]
         lines = body.rstrip().count(b"\n") + 1
-        if len(body) > MAX_TEXT_BYTES:
-            raise SceneError(f"holds {len(body):,} bytes of text: save it as binary PLY")
         if rest := body.translate(None, b"-+.0123456789eE \t\r\n"):
             raise SceneError(f"'{_shown(rest)}' among its numbers: export it again")
         if lines != rows or body.count(b"\r") > lines:
@@ -108,17 +109,17 @@ def load_stl(content: bytes) -> list[TrimeshArrays]:
     (count,) = struct.unpack_from("<I", content.ljust(_STL_HEADER, b"\0"), _STL_HEADER - 4)
     if len(content) == _STL_HEADER + count * _STL_FACET:  # "solid" also begins many binary headers
         require_bounded(count)
-    elif not content.lstrip().startswith(b"solid"):
+        return _load(stl.load_stl_binary, io.BytesIO(content))
+    if not content[:1000].lstrip().lower().startswith(b"solid"):
         raise SceneError(f"is neither text nor the {count:,} triangles that its header claims: copy or export it again")
-    elif len(content) > MAX_TEXT_BYTES or len(re.findall(rb"(?i)endsolid", content)) > _MAX_STL_SOLIDS:
-        raise SceneError(
-            f"more than {MAX_TEXT_BYTES:,} bytes of text or {_MAX_STL_SOLIDS:,} solids: save it as binary STL"
-        )
-    elif bad := _BAD_STL_VERTEX.search(content):
+    if len(content) > MAX_TEXT_BYTES or len(re.findall(rb"(?i)endsolid", content)) > _MAX_STL_SOLIDS:
+        raise SceneError(f"holds more than {MAX_TEXT_BYTES:,} bytes of text or {_MAX_STL_SOLIDS:,} solids: save it as "
+                         "binary STL")  # fmt: skip
+    if bad := _BAD_STL_VERTEX.search(content):
         raise SceneError(f"'{_shown(bad[0])}' is not a vertex: export it again")
-    elif not re.search(rb"(?i)endsolid[^\n]*\s*$", content[-1000:]):
+    if not re.search(rb"(?i)endsolid[^\n]*\s*$", content[-1000:]):
         raise SceneError("ends within a solid: copy or export it again")
-    return _load(stl.load_stl, io.BytesIO(content))
+    return _load(stl.load_stl_ascii, io.StringIO(content.decode("utf-8", "replace")))
 
 
 def _load(loader: Callable[..., TrimeshArrays], stream: io.IOBase, **options: Any) -> list[TrimeshArrays]:
@@ -129,7 +130,8 @@ def _load(loader: Callable[..., TrimeshArrays], stream: io.IOBase, **options: An
             mesh["faces"] = triangulate_quads(mesh["faces"]).reshape(-1, 3)  # polygons of any size
             mesh["vertices"] = np.asarray(mesh["vertices"], np.float64)
     except Exception as error:  # loaders raise arbitrary errors for damaged content
-        raise SceneError(f"cannot be read ({_shown(f'{error}'.encode())}): export it again as triangles") from None
+        reason = one_line(" ".join(f"{error}".split()) or type(error).__name__, 80)
+        raise SceneError(f"cannot be read ({reason}): export it again as triangles") from None
     meshes = [mesh for mesh in meshes if len(mesh["faces"])]
     if not meshes:
         raise SceneError("the mesh has no faces: export it with triangles")
