@@ -83,7 +83,7 @@ class MeanImage(Baseline):
 class AlbedoTimesConstant(Baseline):
     """Albedo times one number, as if every surface were equally lit.
 
-    The number minimises the mean |log10(1 + c a) - log10(1 + y)| over a regular subset of the training pixels.
+    The number minimizes the mean |log10(1 + c a) - log10(1 + y)| over a regular subset of the training pixels.
     """
 
     name = "albedo x constant"
@@ -103,14 +103,14 @@ class AlbedoTimesConstant(Baseline):
             targets.append(log_encode(image.float()).flatten(2)[..., ::stride].flatten())
         albedo, target = torch.cat(albedos), torch.cat(targets)
         visible = albedo > 0  # elsewhere the prediction is zero for any constant
-        self.constant = _minimiser(albedo[visible], target[visible], *self.SEARCH)
+        self.constant = _minimizer(albedo[visible], target[visible], *self.SEARCH)
         return self
 
     def predict(self, gbuffer: Mapping[str, Images]) -> Images:
         return self.constant * gbuffer["albedo"]
 
 
-def _minimiser(albedo: Tensor, target_log: Tensor, low: float, high: float) -> float:
+def _minimizer(albedo: Tensor, target_log: Tensor, low: float, high: float) -> float:
     """Return c in 10^[low, high] with the least log-L1: a grid over exponents, refined three times."""
     for _ in range(4):
         exponents = torch.linspace(low, high, 21).tolist()

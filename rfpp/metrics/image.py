@@ -101,7 +101,7 @@ def ssim(prediction: Images, reference: Images) -> PerImage:
 def gradient(prediction: Images, reference: Images) -> PerImage:
     """Compute the error of edges and textures: mean |∂I(x) - ∂I(y)| of tone-mapped images.
 
-    ∂ is the difference of neighbouring pixels. Means along rows and along columns are averaged.
+    ∂ is the difference of neighboring pixels. Means along rows and along columns are averaged.
     """
     difference = perceptual(prediction) - perceptual(reference)
     rows, columns = (difference.diff(dim=dim).abs().flatten(1).mean(dim=1) for dim in (-2, -1))

@@ -75,7 +75,7 @@ class HalvingConv(nn.Conv2d):
     """A convolution of stride 2 that may be given a single pixel.
 
     A zero beside it says the same as padding does, but oneDNN then takes another kernel: the one for a single pixel
-    leaves uninitialised memory in the bfloat16 gradient of the weights that no pixel meets (PyTorch 2.13, CPU).
+    leaves uninitialized memory in the bfloat16 gradient of the weights that no pixel meets (PyTorch 2.13, CPU).
     """
 
     def forward(self, x: Float[Tensor, "n c h w"]) -> Float[Tensor, "n d h2 w2"]:

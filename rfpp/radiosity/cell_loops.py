@@ -205,7 +205,7 @@ def cells_seen(
     for pixel in range(start, stop):
         own_key = key_of(key, pixel)
         y, x = pixel // width, pixel % width
-        # what a pixel's few rays miss, its neighbours' find: those of a tile's pixels together are one lattice
+        # what a pixel's few rays miss, its neighbors' find: those of a tile's pixels together are one lattice
         of_tile = key_of(key_of(key, -1), y // _TILE * width + x // _TILE)
         place = y % _TILE * _TILE + x % _TILE
         turn = uniform(own_key, -1)

@@ -74,9 +74,9 @@ def cells_each(
 def key_at(table: CellTable, triangle: int, point: Vector, back: bool) -> int:
     """A number for the cell of a point on the front or the back of a triangle; the same for the same cell."""
     owner = table.owner[triangle]
-    half, pieces, centre = table.half[owner], table.pieces[owner], table.centroid[owner]
+    half, pieces, center = table.half[owner], table.pieces[owner], table.centroid[owner]
     flat = FLAT * max(half[0], half[1], half[2])
-    away = (point[0] - centre[0], point[1] - centre[1], point[2] - centre[2])
+    away = (point[0] - center[0], point[1] - center[1], point[2] - center[2])
     octant, box = 0, 0
     for k in range(3):
         place = pieces[k]

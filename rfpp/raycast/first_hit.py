@@ -1,4 +1,4 @@
-"""Scene + camera → what each pixel's centre sees first. The same code makes training data and feeds the renderer."""
+"""Scene + camera → what each pixel's center sees first. The same code makes training data and feeds the renderer."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ class Reflection:
 
 @dataclass(frozen=True, eq=False)
 class GBuffer:
-    """What one camera sees first through each pixel's centre. Lights are invisible to the camera.
+    """What one camera sees first through each pixel's center. Lights are invisible to the camera.
 
     Attributes:
         triangle: [H, W] int32 index into the scene's triangles, -1 where nothing is hit.

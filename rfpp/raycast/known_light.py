@@ -2,7 +2,7 @@
 
 Direct light is the term T L_e of the rendering equation's series L = L_e + T L_e + T² L_e + … Diffuse: Lambert's exact
 formula for each emitting triangle, times the share of it that is in sight, which shadow rays estimate; so fully visible
-light carries no noise. The formula's cost grows with the triangles, so a finely modelled lamp is left to its light
+light carries no noise. The formula's cost grows with the triangles, so a finely modeled lamp is left to its light
 samples. Glossy: light samples (the same shadow rays) and lobe samples combined by multiple importance sampling, which
 serves mirrors under small lights and dull surfaces under large ones alike.
 

@@ -18,7 +18,7 @@ def camera_to_world(camera: Camera) -> Float[np.ndarray, "4 4"]:
 
 
 def pixel_plane(height: int, width: int, points: int = 1) -> Float[np.ndarray, "{height} {width} 2"]:
-    """Return (x right, y up) of each pixel centre, float32, row 0 on top; the longer image side spans [-1, 1].
+    """Return (x right, y up) of each pixel center, float32, row 0 on top; the longer image side spans [-1, 1].
 
     Args:
         height: Rows, in points if `points` is above 1.

@@ -1,4 +1,4 @@
-"""Triangle meshes: valid by construction, normalised, decimated."""
+"""Triangle meshes: valid by construction, normalized, decimated."""
 
 from __future__ import annotations
 
@@ -60,11 +60,11 @@ class Mesh:
 
 def normalized(mesh: Mesh) -> Mesh:
     """Subtract the mean of the vertices and scale so that the farthest vertex is at distance 0.5 (RenderFormer)."""
-    centred = mesh.vertices - mesh.vertices.mean(axis=0, dtype=np.float64)
-    radius = np.linalg.norm(centred, axis=1).max()
+    centered = mesh.vertices - mesh.vertices.mean(axis=0, dtype=np.float64)
+    radius = np.linalg.norm(centered, axis=1).max()
     if radius == 0:
         raise SceneError("all vertices coincide: check the mesh")
-    return Mesh(centred * (0.5 / radius), mesh.faces)
+    return Mesh(centered * (0.5 / radius), mesh.faces)
 
 
 def joined(parts: Sequence[Mesh]) -> Mesh:
@@ -86,7 +86,7 @@ def split_faces(whole: Mesh, part_faces: Sequence[int] | Int[np.ndarray, " parts
 
 
 def normalized_together(parts: Sequence[Mesh]) -> tuple[Mesh, ...]:
-    """Normalise the parts of one object as a whole."""
+    """Normalize the parts of one object as a whole."""
     return split_faces(normalized(joined(parts)), [len(part) for part in parts])
 
 

@@ -77,7 +77,7 @@ class Material(Strict):
 
 
 class Transform(Strict):
-    """Mesh to world: optional normalisation, rotation about world x, y, z in turn, scale, translation.
+    """Mesh to world: optional normalization, rotation about world x, y, z in turn, scale, translation.
 
     Attributes:
         translation: world units.

@@ -26,7 +26,7 @@ def test_even_light_stays_even_up_to_the_borders():
     torch.testing.assert_close(WINDOW(light, guides(64, 64)), light)
 
 
-def test_neighbours_of_one_surface_share_and_mirrors_do_not():
+def test_neighbors_of_one_surface_share_and_mirrors_do_not():
     dull = WINDOW(spot(64, 64), guides(64, 64))[0]
     assert (dull[:, 30:35, 30:35] > 0).all() and not dull[:, :29].any()
     mirror = WINDOW(spot(64, 64), guides(64, 64, roughness=0.0))[0]

@@ -28,8 +28,8 @@ def views(height: int = 20, width: int = 24) -> tuple[torch.Tensor, torch.Tensor
 
 def test_before_training_an_image_of_one_color_stays_as_it_is():
     _, surfaces = views()
-    grey = torch.full((2, 3, 20, 24), 0.7)
-    torch.testing.assert_close(refinement()(grey, surfaces, FOV), grey)
+    gray = torch.full((2, 3, 20, 24), 0.7)
+    torch.testing.assert_close(refinement()(gray, surfaces, FOV), gray)
 
 
 def test_before_training_a_pixel_keeps_seven_eighths_of_itself():
@@ -55,11 +55,11 @@ def test_no_light_spills_into_a_black_background():
     without[:, 7:10] = without[:, 7:10].masked_fill(black, 0)
     refined = net(image, without, FOV)
     assert not refined.masked_select(black).any() and refined.masked_select(~black).all()
-    assert net(image, surfaces, FOV).all(), "a surface that no sample lit takes light from its neighbours"
+    assert net(image, surfaces, FOV).all(), "a surface that no sample lit takes light from its neighbors"
     assert net(radiance, without, FOV).all(), "nor is what an outline's points lit beside it black"
 
 
-def test_pixels_stay_within_the_bound_of_their_neighbours():
+def test_pixels_stay_within_the_bound_of_their_neighbors():
     radiance, surfaces = views()
     refined = refinement(out=100.0)(radiance, surfaces, FOV)
     padded = torch.nn.functional.pad(radiance, [1] * 4, mode="replicate")

@@ -56,7 +56,7 @@ def test_keys_of_cells_are_those_of_the_twin():
     np.testing.assert_array_equal(grid.keys(triangle, point, back), cell_keys(grid, triangle, point, back))
 
 
-def test_numbers_by_number_are_uniform_and_independent_of_their_neighbours():
+def test_numbers_by_number_are_uniform_and_independent_of_their_neighbors():
     drawn = np.array([[uniform(np.uint64(key_of(7, row)), column) for column in range(4)] for row in range(4000)])
     assert drawn.min() >= 0 and drawn.max() < 1
     counts = np.histogram(drawn, 16, (0, 1))[0] / drawn.size

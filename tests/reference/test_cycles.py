@@ -110,9 +110,9 @@ def test_rigid_motion_of_scene_and_camera_changes_nothing(in_process, view):
 @pytest.mark.parametrize(("height", "width"), [(48, 64), (64, 48)])
 def test_gbuffer_agrees_with_cycles_passes(in_process, view, height, width):
     scene, fov = smooth(still_life()), 40.0
-    centre = settings(samples=1, denoise=False, filter_width=0.01)
+    center = settings(samples=1, denoise=False, filter_width=0.01)
     names = ["depth", "normal", "object_index"]
-    passes = in_process(render_passes, scene, one(view), one(fov), height, width, centre, names)
+    passes = in_process(render_passes, scene, one(view), one(fov), height, width, center, names)
     gbuffer = first_hit(scene, view, fov, height, width)
     ids = object_ids(gbuffer, scene)
     assert (passes["object_index"][0] == ids + 1).mean() > 0.995
@@ -128,8 +128,8 @@ def smooth(scene):
     """The same scene with its ball's normals interpolated and the floor seen as if tilted."""
     normals = scene.normals.copy()
     start, end = scene.object_offsets[1:3]
-    centre = scene.positions[start:end].reshape(-1, 3).mean(0)
-    normals[start:end] = scene.positions[start:end] - centre
+    center = scene.positions[start:end].reshape(-1, 3).mean(0)
+    normals[start:end] = scene.positions[start:end] - center
     normals[:2] += [0.2, 0, 0]
     normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
     return dataclasses.replace(scene, normals=normals)
@@ -147,8 +147,8 @@ def test_left_is_left_and_up_is_up(in_process):
 
 def test_diffuse_colors_per_triangle(in_process, view):
     scene, fov = still_life(), 40.0
-    centre = settings(samples=1, denoise=False, filter_width=0.01)
-    color = in_process(render_passes, scene, one(view), one(fov), 48, 48, centre, ["diffuse_color"])["diffuse_color"][0]
+    center = settings(samples=1, denoise=False, filter_width=0.01)
+    color = in_process(render_passes, scene, one(view), one(fov), 48, 48, center, ["diffuse_color"])["diffuse_color"][0]
     gbuffer = first_hit(scene, view, fov, 48, 48)
     np.testing.assert_allclose(color[gbuffer.hit], scene.material[gbuffer.triangle[gbuffer.hit], :3], atol=1e-3)
 

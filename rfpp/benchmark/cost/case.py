@@ -78,13 +78,13 @@ def _triangles(sizes: Int[np.ndarray, " objects"], rng: np.random.Generator) -> 
     total, objects = int(sizes.sum()), len(sizes)
     lights = min(LIGHTS, objects // 2)
     owner = np.repeat(np.arange(objects), sizes)
-    centres = np.concatenate([rng.uniform(-0.4, 0.4, (objects - lights, 3)), 2.4 * _directions(rng, lights)])
+    centers = np.concatenate([rng.uniform(-0.4, 0.4, (objects - lights, 3)), 2.4 * _directions(rng, lights)])
     edge = 2 / np.sqrt(sizes)[owner, None, None]  # the triangles of an object cover its sphere
     normals = _normalized(_directions(rng, total)[:, None] + edge * rng.normal(size=(total, 3, 3)))
     reflectance = np.repeat(rng.uniform(0.05, 0.5, (objects, 7)), sizes, axis=0)
     emission = np.where(owner >= objects - lights, 3000.0, 0.0)[:, None].repeat(3, axis=1)
     return SceneTriangles(
-        positions=(centres[owner, None] + 0.1 * normals).astype(np.float32),
+        positions=(centers[owner, None] + 0.1 * normals).astype(np.float32),
         normals=normals.astype(np.float32),
         material=np.concatenate([reflectance, emission], axis=1).astype(np.float32),
         object_offsets=np.concatenate([[0], np.cumsum(sizes)]).astype(np.int32),

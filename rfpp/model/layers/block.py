@@ -32,13 +32,13 @@ class RMSNorm(nn.RMSNorm):
     def forward(self, x: Float[Tensor, "*rows width"]) -> Float[Tensor, "*rows width"]:
         if x.is_cuda or torch.compiler.is_compiling():
             return F.rms_norm(x, self.normalized_shape, self.weight.to(x.dtype), self.eps)
-        return _normalised_rows(x, self.weight.to(x.dtype), self.eps)
+        return _normalized_rows(x, self.weight.to(x.dtype), self.eps)
 
 
-class _NormaliseRows(torch.autograd.Function):
+class _NormalizeRows(torch.autograd.Function):
     """x · w / √(mean x² + eps), with its derivative written out.
 
-    Under autocast that needs no more of the normalised rows than what the layers behind get: half their memory.
+    Under autocast that needs no more of the normalized rows than what the layers behind get: half their memory.
     """
 
     @staticmethod
@@ -58,7 +58,7 @@ class _NormaliseRows(torch.autograd.Function):
         return grad_x, along.flatten(0, -2).sum(0), None
 
 
-_normalised_rows: Callable[..., Tensor] = _NormaliseRows.apply  # torch's has no types
+_normalized_rows: Callable[..., Tensor] = _NormalizeRows.apply  # torch's has no types
 
 
 class SelfAttention(nn.Module):

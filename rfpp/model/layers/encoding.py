@@ -77,7 +77,7 @@ def rotate(x: Float[Tensor, "n h d"], rotation: Rotation | None) -> Float[Tensor
     if rotation is None:
         return x
     cos, sin = rotation.cos.to(x.dtype), rotation.sin.to(x.dtype)
-    if cos.requires_grad or torch.compiler.is_compiling():  # someone optimises positions, or traces us
+    if cos.requires_grad or torch.compiler.is_compiling():  # someone optimizes positions, or traces us
         a, b = x.chunk(2, dim=-1)
         return torch.cat([a * cos - b * sin, b * cos + a * sin], dim=-1)
     return _rotated(x, cos, sin)

@@ -229,7 +229,7 @@ def _slabs(texture: h5py.Dataset) -> Iterator[slice]:
 
 
 def _patches(material: Float[np.ndarray, "m 10"]) -> Float[np.ndarray, "m 13 p p"]:
-    """Return constant patches, as recognised by `is_constant`."""
+    """Return constant patches, as recognized by `is_constant`."""
     values = np.empty((len(material), TEXTURE_CHANNELS), material.dtype)
     values[:, MATERIAL_CHANNELS], values[:, NORMAL_CHANNELS] = material, FLAT_NORMAL
     return values[:, :, None, None] * covered_cells(_PATCH).astype(material.dtype)

@@ -13,7 +13,7 @@ from rfpp.scene.sampling.interval import HasIntervals, Interval, uniform
 from rfpp.scene.sampling.open_region import OpenRegion
 from rfpp.scene.spec import Transform, rotation_matrix
 
-#: Inward normal of each panel, which stands half a unit from the centre on the opposite side.
+#: Inward normal of each panel, which stands half a unit from the center on the opposite side.
 PANELS = {"floor": (0, 0, 1), "back": (0, -1, 0), "right": (-1, 0, 0), "left": (1, 0, 0)}
 
 #: Panels of the four kinds of background. Cameras look from -y (and -x).
@@ -94,7 +94,7 @@ class BackgroundSampler:
             raise SceneError("BackgroundSampler.weights: give at least one positive weight and no negative one")
 
     def sample(self, rng: np.random.Generator) -> Background:
-        """Draw a background whose open side contains the scene's centre."""
+        """Draw a background whose open side contains the scene's center."""
         weights = np.array(list(self.weights.values()), dtype=float)
         kind = list(self.weights)[rng.choice(len(weights), p=weights / weights.sum())]
         jitter = self.box_jitter if kind == "box" else self.jitter

@@ -13,11 +13,11 @@ from rfpp.scene.spec import Camera
 
 @dataclass(frozen=True)
 class CameraSampler(HasIntervals):
-    """Cameras on a shell around the scene's centre, in front of the background.
+    """Cameras on a shell around the scene's center, in front of the background.
 
     Attributes:
         count: cameras per scene.
-        target_jitter: displacement of the target from the scene's centre, per axis.
+        target_jitter: displacement of the target from the scene's center, per axis.
         up_jitter: displacement of the up vector from +z, per axis.
         fov: full angle in degrees along the longer image side.
         elevation: degrees above the horizon, seen from the target.

@@ -43,7 +43,7 @@ class Placement(HasIntervals):
     shrink: float
 
     def sample(self, rng: np.random.Generator, meshes: Sequence[Mesh], open_region: OpenRegion) -> list[Transform]:
-        """Return one transform per normalised mesh, in order.
+        """Return one transform per normalized mesh, in order.
 
         Raises:
             SceneError: If there is no room for a mesh at any size.
@@ -65,20 +65,20 @@ class Placement(HasIntervals):
         rotated = mesh.vertices @ rotation_matrix(tuple(rotation)).T
         unit_box = np.stack([rotated.min(axis=0), rotated.max(axis=0)])
         unit_reach = (rotated @ open_region.normals.T).min(axis=0)  # [P] of the vertex closest to each panel
-        scale = 2 * radius  # a normalised mesh has radius 0.5
+        scale = 2 * radius  # a normalized mesh has radius 0.5
         for _ in range(_SHRINKS):
             box, reach = scale * unit_box, scale * unit_reach
-            centres = self._candidates(rng, box, reach, open_region, floats)
-            fits = self._fits(centres, box, reach, open_region, boxes)
+            centers = self._candidates(rng, box, reach, open_region, floats)
+            fits = self._fits(centers, box, reach, open_region, boxes)
             if fits.any():
-                centre = centres[fits.argmax()]
+                center = centers[fits.argmax()]
                 transform = Transform(
-                    translation=tuple(centre.tolist()),
+                    translation=tuple(center.tolist()),
                     rotation=tuple(rotation.tolist()),
                     scale=(float(scale),) * 3,
-                    normalize=False,  # the source has normalised the mesh
+                    normalize=False,  # the source has normalized the mesh
                 )
-                return transform, box + centre
+                return transform, box + center
             scale *= self.shrink
         raise SceneError("an object found no room: lower Placement.sizes, margin or the number of objects")
 
@@ -88,23 +88,23 @@ class Placement(HasIntervals):
     def _candidates(
         self, rng: np.random.Generator, box: np.ndarray, reach: np.ndarray, open_region: OpenRegion, floats: bool
     ) -> np.ndarray:
-        """Draw centres [attempts, 3] inside the cube sideways, resting on the floor or floating above it."""
+        """Draw centers [attempts, 3] inside the cube sideways, resting on the floor or floating above it."""
         low, high = np.minimum(-_HALF_EXTENT - box[0], 0), np.maximum(_HALF_EXTENT - box[1], 0)
-        centres = rng.uniform(low, high, (self.attempts, 3))
+        centers = rng.uniform(low, high, (self.attempts, 3))
         normal, offset = open_region.normals[0], open_region.offsets[0]
-        resting = (offset + self.gap - reach[0] - centres[:, :2] @ normal[:2]) / normal[2]
+        resting = (offset + self.gap - reach[0] - centers[:, :2] @ normal[:2]) / normal[2]
         if floats:
             resting = resting + rng.random(self.attempts) * np.maximum(high[2] - resting, 0)
-        centres[:, 2] = resting
-        return centres
+        centers[:, 2] = resting
+        return centers
 
     def _fits(
-        self, centres: np.ndarray, box: np.ndarray, reach: np.ndarray, open_region: OpenRegion, boxes: np.ndarray
+        self, centers: np.ndarray, box: np.ndarray, reach: np.ndarray, open_region: OpenRegion, boxes: np.ndarray
     ) -> np.ndarray:
-        """Return a mask [attempts] of centres inside the cube, in front of every wall and clear of every box."""
-        low, high = centres + box[0], centres + box[1]
+        """Return a mask [attempts] of centers inside the cube, in front of every wall and clear of every box."""
+        low, high = centers + box[0], centers + box[1]
         inside = ((low >= -_HALF_EXTENT) & (high <= _HALF_EXTENT)).all(axis=1)
-        in_front = (open_region.distances(centres)[:, 1:] + reach[1:] >= self.margin).all(axis=1)
+        in_front = (open_region.distances(centers)[:, 1:] + reach[1:] >= self.margin).all(axis=1)
         apart = (low[:, None] > boxes[:, 1] + self.margin) | (high[:, None] < boxes[:, 0] - self.margin)
         return inside & in_front & apart.any(axis=2).all(axis=1)
 

@@ -50,7 +50,7 @@ def taper(rng: Rng, half: np.ndarray) -> Callable[[Points], Points]:
 
 def bend(rng: Rng, half: np.ndarray) -> Callable[[Points], Points]:
     """Draw a bend of the z axis to an arc about y, by 40 to 130 degrees or as far as the solid's width allows."""
-    # the arc's centre must lie outside the solid: radius = length / angle > half the width
+    # the arc's center must lie outside the solid: radius = length / angle > half the width
     angle = min(rng.uniform(np.radians(40), np.radians(130)), 0.8 * 2 * half[2] / half[0])
     radius = 2 * half[2] / angle
 
@@ -72,8 +72,8 @@ def deformed(rng: Rng, mesh: Mesh, target_faces: int) -> Mesh:
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
     # a cyclic permutation of axes is a rotation, so the orientation is kept
     order = np.roll(np.arange(3), 2 - int(np.argmax(high - low)))
-    centred = Mesh((mesh.vertices - (low + high) / 2)[:, order], mesh.faces)
-    fine = centred if len(mesh) >= _FINE * target_faces else _with_short_edges(centred, target_faces)
+    centered = Mesh((mesh.vertices - (low + high) / 2)[:, order], mesh.faces)
+    fine = centered if len(mesh) >= _FINE * target_faces else _with_short_edges(centered, target_faces)
     return Mesh(deformation(rng, (high - low)[order] / 2)(fine.vertices.astype(np.float64)), fine.faces)
 
 

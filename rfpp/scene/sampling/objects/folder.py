@@ -36,7 +36,7 @@ class FolderObjects(LibraryObjects):
         return Path(self.folder).expanduser().absolute()
 
     def originals(self) -> list[Original]:
-        """Return the files; a changed file is recognised by size and time."""
+        """Return the files; a changed file is recognized by size and time."""
         if not self._path.is_dir():
             raise SceneError(f"{self._path}: there is no such folder: correct family.objects.folder")
         files = sorted(p for p in self._path.rglob("*") if p.suffix.lower() in MESH_SUFFIXES and p.is_file())

@@ -19,7 +19,7 @@ class ObjectSource(Protocol):
     def sample(self, rng: np.random.Generator, target_faces: int, held_out: bool) -> tuple[Mesh, ...]:
         """Return the parts of a random object with at most `target_faces` faces in total.
 
-        Each part has its own material; together they are normalised. A part may have one face less than its share,
+        Each part has its own material; together they are normalized. A part may have one face less than its share,
         because closed meshes have an even number of faces.
         """
         ...

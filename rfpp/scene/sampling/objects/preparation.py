@@ -59,7 +59,7 @@ class PreparedMesh:
     """A prepared object.
 
     Attributes:
-        parts: together normalised and with at most `max_faces` faces, facing outwards where watertight.
+        parts: together normalized and with at most `max_faces` faces, facing outwards where watertight.
     """
 
     parts: tuple[Mesh, ...]
@@ -165,7 +165,7 @@ def cleaned(mesh: Mesh) -> Mesh | None:
 
 
 def facing_outwards(mesh: Mesh, watertight: bool) -> Mesh:
-    """Orient neighbouring faces consistently, and outwards if the mesh is watertight."""
+    """Orient neighboring faces consistently, and outwards if the mesh is watertight."""
     surface = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
     if not surface.is_winding_consistent:
         trimesh.repair.fix_winding(surface)

@@ -76,7 +76,7 @@ class ProceduralObjects:
         return (self.mesh(int(rng.integers(first, end)), target_faces),)
 
     def mesh(self, number: int, target_faces: int) -> Mesh:
-        """Return object `number` with `target_faces` faces, or one less if that is odd: closed and normalised.
+        """Return object `number` with `target_faces` faces, or one less if that is odd: closed and normalized.
 
         Raises:
             SceneError: If `target_faces` is below 12.

@@ -60,6 +60,6 @@ def _bisected(
     middle_at_corner = middle[face_edges]
     face, corner = np.nonzero(middle_at_corner >= 0)
     apex, left, right = (faces[face, (corner + k) % 3] for k in range(3))
-    centre = middle_at_corner[face, corner]
-    halves = np.concatenate([np.stack([apex, left, centre], axis=1), np.stack([apex, centre, right], axis=1)])
+    center = middle_at_corner[face, corner]
+    halves = np.concatenate([np.stack([apex, left, center], axis=1), np.stack([apex, center, right], axis=1)])
     return np.concatenate([vertices, new_vertices]), np.concatenate([np.delete(faces, face, axis=0), halves])

@@ -52,10 +52,10 @@ def metaballs(rng: Rng, faces: int) -> Mesh:
     """Draw three to seven blended blobs (Blinn 1982), by marching cubes."""
     resolution = int(np.clip(math.sqrt(faces), 12, 28))
     count = int(rng.integers(3, 8))
-    centres, radii = rng.uniform(-0.5, 0.5, (count, 3)), rng.uniform(0.2, 0.45, count)
+    centers, radii = rng.uniform(-0.5, 0.5, (count, 3)), rng.uniform(0.2, 0.45, count)
     axis = np.linspace(-1.6, 1.6, resolution)
     field = np.zeros((resolution,) * 3)
-    for (x, y, z), radius in zip(centres, radii, strict=True):
+    for (x, y, z), radius in zip(centers, radii, strict=True):
         gaussians = [np.exp(-(((axis - c) / radius) ** 2)) for c in (x, y, z)]
         field += np.einsum("i,j,k->ijk", *gaussians)
     vertices, triangles, _, _ = marching_cubes(field, level=0.35, gradient_direction="ascent")

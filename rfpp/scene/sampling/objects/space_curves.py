@@ -30,7 +30,7 @@ class Curve:
         return difference / np.linalg.norm(difference, axis=1, keepdims=True)
 
     def frames(self, turns: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return rotation-minimising unit normals and binormals [S, 3], with an additional even twist of `turns`.
+        """Return rotation-minimizing unit normals and binormals [S, 3], with an additional even twist of `turns`.
 
         A closed curve is also twisted so that its ends match.
         """
@@ -50,13 +50,13 @@ class Curve:
 
     def free_radius(self) -> float:
         """Return the maximum tube radius without folds at bends and contact between parts of the curve."""
-        neighbours = self.points if self.closed else self.points[1:-1]
+        neighbors = self.points if self.closed else self.points[1:-1]
         before, after = (
             (np.roll(self.points, 1, axis=0), np.roll(self.points, -1, axis=0))
             if self.closed
             else (self.points[:-2], self.points[2:])
         )
-        a, b, c = neighbours - before, after - neighbours, after - before
+        a, b, c = neighbors - before, after - neighbors, after - before
         lengths = np.linalg.norm(a, axis=1) * np.linalg.norm(b, axis=1) * np.linalg.norm(c, axis=1)
         bend = (lengths / np.maximum(2 * np.linalg.norm(np.cross(a, b), axis=1), 1e-12)).min()  # circumradius
         return float(min(bend, 0.5 * self._nearest_pass(), 0.3 * np.ptp(self.points, axis=0).max()))
