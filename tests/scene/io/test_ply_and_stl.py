@@ -10,7 +10,6 @@ import trimesh
 
 from rfpp.errors import SceneError
 from rfpp.scene.io.loading import load_scene
-from rfpp.scene.io.mesh_files import load_mesh
 from rfpp.scene.spec import SceneObject
 from rfpp.scene.triangles import DIFFUSE
 
@@ -103,7 +102,8 @@ def test_colors_of_vertices_survive_texture_coordinates(tmp_path: Path) -> None:
 @pytest.mark.parametrize("kind", ["stl", "stl_ascii"])
 def test_stl_of_both_kinds(kind: str, tmp_path: Path) -> None:
     solids = [trimesh.creation.box().apply_translation([3 * i, 0, 0]) for i in range(3)]
-    objects = surfaces(tmp_path, "boxes.stl", trimesh.util.concatenate(solids).export(file_type=kind))
+    content = trimesh.util.concatenate(solids).export(file_type=kind)
+    objects = surfaces(tmp_path, "boxes.stl", b"solid" + content[5:] if kind == "stl" else content)  # as some write it
     assert [len(item.mesh) for item in objects] == [12, 12, 12]
     np.testing.assert_allclose([item.transform.translation[0] for item in objects], [-3 / 7, 0, 3 / 7], atol=1e-6)
 
@@ -112,11 +112,6 @@ def test_a_text_stl_of_several_solids(tmp_path: Path) -> None:
     facet = "\tFacet\n\n outer loop\n\tvertex 0 0 {0}\nVERTEX 1 0 {0}\r\n vertex  0 1e0 {0}\nendloop\nendfacet\n"
     text = "".join(f"solid vertex\n{facet.format(height)}endsolid vertex\n" for height in range(3))
     assert [len(item.mesh) for item in surfaces(tmp_path, "a.stl", text)] == [1, 1, 1]
-
-
-def test_a_binary_stl_may_call_itself_solid(tmp_path: Path) -> None:
-    (item,) = surfaces(tmp_path, "box.stl", b"solid" + STL[5:])
-    assert len(item.mesh) == 12
 
 
 def claiming(count: int, name: str = "face") -> bytes:
@@ -137,18 +132,15 @@ REFUSED = {
     "cut_text.ply": (pyramid("ascii")[:-12], "claims 11 rows and holds 10"),
     "more_text.ply": (pyramid("ascii") + b"1 2 3\n", "claims 11 rows and holds 12"),
     "blank.ply": (pyramid("ascii").replace(b"\n3 0 3 2 7\n", b"\n\r\r\r\r\r\r\r\r\r\r\r\r\n"), "claims 11 rows"),
-    "long_list.ply": (pyramid("binary_little_endian").replace(b"uchar int", b"uint int"), "unexpected length|read"),
     "negative_list.ply": (pyramid("ascii").replace(b"3 0 3 2 7", b"-3 0 3 2 7"), "the mesh has no faces"),
     "no_header.ply": (b"ply\nformat ascii 1.0\n", "not a PLY file with a whole header"),
     "type.ply": (pyramid("ascii").replace(b"float x", b"string x"), "cannot be read"),
-    "format.ply": (pyramid("ascii").replace(b"ascii", b"gzip"), "unexpected length"),
     "points.ply": (pyramid("ascii").replace(b"vertex_indices", b"something"), "cannot be read|no faces"),
     "index.ply": (pyramid("ascii").replace(b"3 0 1 4", b"3 0 1 9"), "a face refers to a vertex that does"),
     "negative_index.ply": (pyramid("ascii").replace(b"3 0 1 4", b"3 0 1 -1"), "a face refers to a vertex that"),
     "nan.ply": (pyramid("ascii").replace(b"0.5 0.5 1", b"0.5 nan 1"), "'nan' among its numbers"),
     "nan_binary.ply": (pyramid("binary_little_endian").replace(struct.pack("<f", 0.5), struct.pack("<f", np.nan)),
                        "a vertex is NaN"),
-    "words.ply": (pyramid("ascii").replace(b"3 0 1 4", b"three 0 1"), "'thr' among its numbers"),
     "empty.ply": (b"", "is empty"),
     "absurd.stl": (STL[:80] + struct.pack("<I", 10**9) + STL[84:], "nor the 1,000,000,000 triangles that its header"),
     "cut.stl": (STL[:-1], "nor the 12 triangles that its header claims"),
@@ -158,7 +150,6 @@ REFUSED = {
     "two_vertices.stl": (b"solid\nvertex 0 0 0\nvertex 0 1 0\nendsolid", "cannot be read"),
     "inf.stl": (b"solid\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 inf 0\nendsolid", "'vertex 0 inf 0' is not a vertex"),
     "one_line.stl": (b"solid vertex 0 0 0 vertex 1 0 0 vertex 0 1 0 endsolid", "is not a vertex"),
-    "large.stl": (b"solid\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1e40 0\nendsolid", "a vertex is NaN, infinite or too"),
     "solids.stl": (b"solid a\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\nendsolid\n" * 2001, "2,000 solids"),
 }  # fmt: skip
 
@@ -173,11 +164,3 @@ def test_damaged_files_are_refused_in_one_line_and_little_memory(name: str, tmp_
     tracemalloc.stop()
     assert str(caught.value).startswith(f"{tmp_path / name}: ")
     assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize("name", ["absurd.ply", "absurd_vertices.ply", "absurd.stl", "empty.ply"])
-def test_meshes_of_json_scenes_are_checked_alike(name: str, tmp_path: Path) -> None:
-    content, message = REFUSED[name]
-    (tmp_path / name).write_bytes(content)
-    with pytest.raises(SceneError, match=message):
-        load_mesh(tmp_path / name)
