@@ -1,6 +1,6 @@
 """Run a benchmark: print a table and, with output=…, write it as CSV with commit and hardware.
 
-python launch/benchmark.py benchmark=gallery output=data/results/gallery.csv
+python launch/benchmark.py benchmark=reference output=data/results/reference.csv
 """
 
 from __future__ import annotations

@@ -55,7 +55,6 @@ class RaggedBatch:
         c2w, fov: [B, V, 4, 4], [B, V].
         gbuffer: [B, V, C, H, W].
         image: [B, V, 3, H, W] linear radiance, or None when rendering.
-        keys: B sample names.
         texture: [M, 13, P, P] emission linear, or None where every triangle has one material.
         emitters: [E] the triangles that emit; on the host, so that pairing them with objects waits for no device.
     """

@@ -78,7 +78,6 @@ class Timings:
     Attributes:
         alone: Step on a global batch by one process while the other is idle.
         whole_batch, half_batch: Step on a global batch, and on half of one, while the other process does the same.
-        all_reduce: Averaging of the gradients alone.
         together: Partition → step of both processes on a global batch, half each, with DistributedDataParallel.
     """
 

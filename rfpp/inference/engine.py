@@ -18,8 +18,6 @@ class Engine(Protocol):
     """A rendering system: `NetworkEngine` (RenderFormer++ and RenderFormer) or `RadiosityEngine`.
 
     Attributes:
-        module: Learned parameters, in evaluation mode.
-        patch_size: Divisor of both image sides.
         iterations: Usual number of transport iterations; 0 if there are none.
         is_linear: Whether the unrefined image is a sum over lights and bounces.
         supersamples: Whether several samples per pixel make a difference.

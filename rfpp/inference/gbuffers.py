@@ -31,7 +31,6 @@ class GBufferSource:
 
     Args:
         channels: Names from `rfpp.raycast.first_hit.CHANNELS`, in order.
-        max_bytes: Limit of the cache.
     """
 
     def __init__(self, channels: Sequence[str], max_bytes: int = 1 << 30):

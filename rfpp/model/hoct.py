@@ -19,8 +19,6 @@ class ObjectTokens(nn.Module):
 
     Args:
         width: Token width D.
-        heads: Attention heads.
-        hidden: SwiGLU width.
         encoder_layers: Self-attention blocks over each object's triangles.
         queries: n_q, tokens per object.
         cross_layers: Cross-attention blocks from queries to triangles; a self-attention block stands between each two.

@@ -63,8 +63,6 @@ class PhysicsInformedTransport(nn.Module):
 
     Args:
         width: Token width D.
-        heads: Attention heads.
-        hidden: SwiGLU width.
         layers: Self-attention blocks of the operator T.
         iterations: K.
         frequencies: RSPE frequencies.

@@ -95,10 +95,7 @@ class RenderFormerPP(nn.Module):
         """Run the view-dependent stage: return log10(1 + radiance) of V views of each scene, float32.
 
         Args:
-            scenes: Result of `encode`.
-            c2w: Camera-to-world matrices.
             fov: Full angle in degrees along the longer image side.
-            gbuffer: `gbuffer_channels`.
         """
         log_radiance = self.decoder(scenes.tokens, c2w, fov, gbuffer, scenes.exposure)
         return log_encode(scenes.exposure[:, None, None, None, None] * log_decode(log_radiance))

@@ -28,8 +28,6 @@ class ViewDecoder(nn.Module):
 
     Args:
         width: Token width D.
-        heads: Attention heads.
-        hidden: SwiGLU width.
         layers: Decoder blocks, at least 4: the last four feed the head.
         frequencies: RSPE frequencies.
         patch_size: Pixels along a patch's side.
@@ -72,8 +70,6 @@ class ViewDecoder(nn.Module):
         """Return log10(1 + radiance / exposure) of every view of every scene, float32.
 
         Args:
-            scene: Scene tokens after transport.
-            c2w: Camera-to-world matrices.
             fov: Full angle in degrees along the longer image side.
             gbuffer: `gbuffer_channels`, light in linear units.
             exposure: Radiance that the scene tokens call 1.

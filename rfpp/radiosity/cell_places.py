@@ -40,7 +40,6 @@ class CellPlaces:
     """Places of the C cells of a scene.
 
     Attributes:
-        map: Map from points to cells.
         points: Points at which light and materials of cells are sampled.
         cell: Cell of each point, ascending.
         normal: Normal of each point, on its side of the triangle.
@@ -141,7 +140,6 @@ def _rays(
 
     Args:
         position: Points from which rays start in turn; at least one per cell.
-        normal: Their normals.
         cell: Their cells, ascending.
     """
     count = np.bincount(cell)

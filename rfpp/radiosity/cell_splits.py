@@ -59,8 +59,6 @@ def split_cells(
 
     Args:
         position: Points of the cells, at least one of each.
-        normal: Their normals.
-        cell: Their cells.
 
     Returns:
         What stands for each cell now: itself, or a split; the splits; and the cell of each point.

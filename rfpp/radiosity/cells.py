@@ -49,10 +49,8 @@ class CellMap:
     """Map from points of a scene to cells.
 
     Attributes:
-        grid: Grid that divides the scene.
         keys: Keys of the grid, ascending.
         cell: Cell or split of each key; NOWHERE for those that no light can reach.
-        splits: Planes that divide cells.
     """
 
     grid: CellGrid

@@ -18,7 +18,6 @@ class JointWindow:
     share of the image is covered at any resolution ("à trous", Dammertz et al. 2010).
 
     Args:
-        radius: Pixels to each side.
         reach: Share of the image's longer side that all passes together may span to each side. There is always one
             pass, and a second from 120 pixels on.
         normal: Difference of unit normals at which a weight has fallen to e^-1/2.

@@ -71,7 +71,6 @@ class Radiosity(nn.Module):
 
         Args:
             radiance: Linear radiance.
-            surfaces: `Refinement.channels`, averaged over pixels.
             fov: Full angle in degrees along the longer image side.
         """
         if self.refinement is None:

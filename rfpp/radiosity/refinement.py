@@ -52,7 +52,6 @@ class Refinement(nn.Module):
 
         Args:
             radiance: Linear radiance; negative values count as zero.
-            gbuffer: `channels`, averaged over pixels.
             fov: Full angle in degrees along the longer image side.
         """
         radiance = radiance.float().clamp_min(0)

@@ -182,10 +182,8 @@ def direct_at(
     """Irradiance / π and glossy light at a point, in the units of `DirectLight`.
 
     Args:
-        view: towards the eye.
         alpha: negative for a surface without glossy lobe.
         specular: albedo, by which multiple scattering is colored.
-        samples: shadow rays to each light.
         wants_diffuse: whether irradiance is of interest.
         every, turn: of the lights each `every`th from this one on is sampled, for all of them. Which, does not depend
             on what shines, so that the light of several is the sum of theirs.
@@ -237,7 +235,6 @@ def gathered_each(
     """Direct light at points.
 
     Args:
-        points: a `Surface`'s arrays (`rfpp.raycast.surface.Points`).
         diffuse, glossy: [R, 3] to fill in.
     """
     for row in range(start, stop):

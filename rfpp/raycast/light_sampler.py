@@ -24,10 +24,8 @@ class LightSampler:
 
     Args:
         triangles: the whole scene, in world space.
-        caster: over all of them, if there is one already; emitters cast shadows too.
 
     Attributes:
-        caster: see above.
         names: of the objects that are lights.
         scene: what loops read. Of its lights those that do not shine are black, and otherwise what they are.
     """

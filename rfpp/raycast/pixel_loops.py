@@ -56,7 +56,6 @@ def light_samples(
     """Adds samples of one light to the sums of each point.
 
     Args:
-        points: `rfpp.raycast.surface.Points`.
         begin, end: which samples of each point; the first starts the sums anew.
         only: [pixels] those whose points are sampled.
         sums: [R, SUMS].
@@ -121,10 +120,8 @@ def of_light(
         around: [pixels] results of `shares_around`.
         edge: [pixels] whether all samples were taken.
         few: Samples of points away from edges.
-        many: Samples of points at edges.
         room: Scratch space for `rfpp.raycast.polygon_light.unhidden_each`.
         diffuse: Irradiance / π, added to.
-        glossy: Glossy light, added to.
     """
     for begin in range(start, stop, BLOCK):
         end = min(begin + BLOCK, stop)

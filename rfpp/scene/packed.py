@@ -18,7 +18,6 @@ class PackedScene:
     """Triangles and cameras of a scene, as produced by `pack` and stored in RenderFormer's H5 files.
 
     Attributes:
-        name: for messages and file names.
         triangles: in world space, sorted by object.
         c2w: [V, 4, 4] float32 camera-to-world, Blender axes.
         fov: [V] float32 degrees along the longer image side.

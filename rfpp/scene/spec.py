@@ -128,7 +128,6 @@ class SceneObject(Strict):
     """A mesh with a transform and a material.
 
     Attributes:
-        name: unique in its scene.
         mesh: in its own coordinates, before `transform`.
         face_material: [F, 10] float32 rows of `SceneTriangles.material`, if the material varies over the faces; they
             replace `material`, which then holds their area-weighted mean, and the shading.

@@ -28,7 +28,6 @@ class Evaluation:
     """Scores of one checkpoint and the trivial baselines on one data set.
 
     Attributes:
-        data_manifest: Hash of its manifest.
         definitions: Formula with tone map and epsilon, by metric name.
         means: Estimates by (split, predictor), then by metric name.
         ablation: Growth of log-L1 by split and ablation (`rfpp.losses.ablation`).

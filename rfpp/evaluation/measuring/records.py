@@ -14,7 +14,6 @@ class SceneRecord:
     """Scores of one predictor on one scene.
 
     Attributes:
-        objects: Number of objects, lights included.
         predictor: "model" or the name of a baseline.
         views: Value by metric name, for each view.
     """

@@ -27,7 +27,6 @@ class PaperRow:
     """A row of a table.
 
     Attributes:
-        label: Label as printed.
         method: Our name of the same network.
         values: One number for each column group and metric, groups outermost.
         steps: Optimizer steps; None if the paper does not state them.
@@ -54,7 +53,6 @@ class PaperTable:
 
     Attributes:
         groups: Heading of each group of columns → splits that it averages.
-        blocks: Blocks from top to bottom.
     """
 
     name: str

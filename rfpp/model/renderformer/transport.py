@@ -18,8 +18,6 @@ class UnconstrainedTransport(nn.Module):
 
     Args:
         width: Token width D.
-        heads: Attention heads.
-        hidden: SwiGLU width.
         layers: Self-attention blocks.
         frequencies: RSPE frequencies.
     """

@@ -34,7 +34,6 @@ class Fitted:
     """A fitted scene.
 
     Attributes:
-        scene: with at least one camera.
         framing: transform of its points, for later cameras.
     """
 
@@ -44,10 +43,6 @@ class Fitted:
 
 def fitted(scene: ImportedScene, path: Path, transparent: Transparent, backdrop: Backdrop) -> Fitted:
     """Fit a scene; see the module.
-
-    Args:
-        transparent: See `load_scene`.
-        backdrop: See `load_scene`.
 
     Raises:
         SceneError: If nothing is visible, it is too large, or `transparent` refuses it; without the file's name.

@@ -42,7 +42,6 @@ class GltfMaterials:
     """Materials of one file.
 
     Attributes:
-        textures: Textures averaged so far.
         normal_maps: True if any was left out.
     """
 

@@ -39,7 +39,6 @@ class ImageTexture:
         pixels: how many its file held.
 
     Args:
-        content: of an image file.
         color: whether it holds sRGB color, which becomes linear; else plain numbers.
         left: pixels that its scene may still have.
 

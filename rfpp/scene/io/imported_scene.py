@@ -81,7 +81,6 @@ class Lamp:
     """A light without extent.
 
     Attributes:
-        name: from the file.
         kind: shines in all directions, in a cone, or from infinity.
         strength: [3] linear RGB radiant intensity (W/sr); irradiance (W/m²) for directional lights.
         position, direction: [3] location, and unit direction of the light.

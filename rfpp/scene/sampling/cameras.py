@@ -16,7 +16,6 @@ class CameraSampler(HasIntervals):
     """Cameras on a shell around the scene's center, in front of the background.
 
     Attributes:
-        count: cameras per scene.
         target_jitter: displacement of the target from the scene's center, per axis.
         up_jitter: displacement of the up vector from +z, per axis.
         fov: full angle in degrees along the longer image side.

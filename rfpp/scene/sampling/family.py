@@ -21,11 +21,7 @@ from rfpp.scene.spec import Camera, Scene, SceneObject
 
 @dataclass(frozen=True)
 class TriangleBudget(HasIntervals):
-    """Numbers of objects and triangles of a scene.
-
-    Attributes:
-        scene: triangles, including background and lights.
-    """
+    """Numbers of objects and triangles of a scene."""
 
     scene: Interval
     objects: Interval

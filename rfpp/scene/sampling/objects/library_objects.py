@@ -33,7 +33,6 @@ class Original:
         id: its name in the library, the same on every machine.
         stamp: changes with the mesh.
         path: its file, or the zip archive that holds it; None if it is not available.
-        member: its name in the archive.
     """
 
     id: str
