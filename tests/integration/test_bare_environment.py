@@ -116,7 +116,6 @@ RENDER = ("launch/render.py", "cameras=[0]", "resolution=8", "device=cpu")
 MISSED = {
     "training with tracking": ("tracking", ["launch/train.py", "experiment=quickstart", "data.root=absent"]),
     "an H5 scene": ("data", [*RENDER, "scene=absent.h5"]),
-    "a report": ("evaluation", ["launch/evaluate.py", "experiment=quickstart", "checkpoint=absent.ckpt"]),
     "the viewer": ("viewer", ["launch/view.py", "scene=data/scenes/cornell_box.json"]),
     "the server": ("serve", ["launch/serve.py"]),
 }
