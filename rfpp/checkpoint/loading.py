@@ -36,7 +36,7 @@ RELEASED = {
 
 @dataclass(frozen=True)
 class CheckpointInfo:
-    """What a checkpoint says about itself.
+    """Description of a checkpoint.
 
     Attributes:
         model: nested `_target_` config of the network, all values plain.
@@ -97,7 +97,7 @@ def load_initial_weights(network: nn.Module, path: Path | str) -> None:
 
 
 def _read(checkpoint: Path | str) -> tuple[CheckpointInfo, dict[str, torch.Tensor]]:
-    """What a checkpoint says about itself, and its network's weights."""
+    """Return the description of a checkpoint and its network's weights."""
     if not names_folder(checkpoint):
         return _read_file(Path(checkpoint))
     folder = folder_of(checkpoint)

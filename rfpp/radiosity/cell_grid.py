@@ -1,4 +1,4 @@
-"""How a scene's surfaces are divided into cells: pieces small enough to be of one brightness."""
+"""Division of a scene's surfaces into cells, pieces small enough to have one brightness."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class CellGrid:
 
     @cached_property
     def _direction(self) -> Int[np.ndarray, " m"]:
-        """Which way each triangle faces, in its object's axes."""
+        """Return the side that each triangle faces, in its object's axes."""
         corners = self.triangles.positions.astype(np.float64)
         normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         local = np.einsum("mij,mj->mi", self.axes[self.triangles.object_index], normal)
@@ -170,5 +170,5 @@ def feature_edges(corners: Float[np.ndarray, "m 3 3"]) -> Float[np.ndarray, "n 3
 
 
 def _first_largest(values: Float[np.ndarray, " n"]) -> int:
-    """Where the first of those is that are largest but for rounding."""
+    """Return the index of the first value that is largest but for rounding."""
     return int(np.argmax(values >= values.max() * (1 - _SYMMETRIC)))

@@ -32,7 +32,7 @@ SMALL_ATTENTION = 256 * 256
 
 
 class AttentionPattern:
-    """Which packed query rows see which packed key rows: query segment i sees key segment i.
+    """Mask of packed rows: query segment i sees key segment i.
 
     Build it once per batch and share it between layers: the index tables below are computed on first use.
 
@@ -66,7 +66,7 @@ class AttentionPattern:
 
     @cached_property
     def inverse_order(self) -> Int[Tensor, " n"]:
-        """Where each row stands in `order`. Raises ValueError where there is none."""
+        """Return the position of each row in `order`. Raises ValueError where there is none."""
         if self.order is None:
             raise ValueError("these rows are in order")
         return self.order.argsort()
@@ -208,7 +208,7 @@ def attend(
 
 
 def has_varlen_kernel(q: Float[Tensor, "n h d"]) -> bool:
-    """Whether FlashAttention has a kernel for these heads where they are."""
+    """Return whether FlashAttention has a kernel for these heads where they are."""
     return q.is_cuda and q.dtype in (torch.float16, torch.bfloat16) and q.shape[-1] % 8 == 0 and q.shape[-1] <= 256
 
 

@@ -1,4 +1,4 @@
-"""What mixed precision means inside a network."""
+"""Mixed precision inside a network."""
 
 from __future__ import annotations
 
@@ -15,5 +15,5 @@ def as_multiplied(x: Tensor) -> Tensor:
 
 
 def in_float32(x: Tensor) -> AbstractContextManager:
-    """Where products of matrices are taken in float32. "meta" knows no autocast."""
+    """Context in which matrix products are computed in float32. "meta" knows no autocast."""
     return nullcontext() if x.is_meta else torch.autocast(x.device.type, enabled=False)

@@ -20,7 +20,7 @@ MAX_BYTES = 2**29
 MAX_TEXT_BYTES = 2**27
 #: Limit of text that is parsed into Python objects, which take up to thirty times its size.
 MAX_JSON_BYTES = 2**25
-#: Forty times the triangles of training scenes; loads within ten seconds and 2 GB on two cores.
+#: Forty times the triangles of training scenes.
 MAX_TRIANGLES = 3_000_000
 #: Limits of list entries that become Python objects, and of parts of a scene.
 MAX_ENTRIES, MAX_PARTS = 100_000, 20_000
