@@ -3,7 +3,8 @@
 Pictures and references in `radiosity/` are EXR files made by
 
     python launch/render.py 'scene=[data/scenes/cornell_box.json,data/scenes/roughness_spheres.json]' cameras=0 \
-        resolution=128 device=cpu precision=fp32 reference=true reference_settings=paper output=tests/inference/radiosity
+        resolution=128 device=cpu precision=fp32 reference=true reference_settings=paper \
+        output=tests/inference/radiosity
 """
 
 from pathlib import Path
