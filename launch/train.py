@@ -31,8 +31,9 @@ from rfpp.training.blocks import compile_blocks
 from rfpp.training.callbacks.finite_gradients import NonFiniteGradientError
 from rfpp.training.checkpoint_files import checkpoint_to_resume, point_at
 from rfpp.training.module import RenderingModule
-from rfpp.training.plan import PLAN_KEY, plan_training
+from rfpp.training.plan import PLAN_KEY, choose_precision, is_captured, plan_training
 from rfpp.training.run import locked, shared_with_ranks, trainer_plugins
+from rfpp.training.steps import CapturedStep, PlainStep
 from rfpp.training.stopping import StoppedError, exit_early
 from rfpp.training.summary import end_summary, start_summary
 from rfpp.training.tracking import code_version
@@ -58,12 +59,16 @@ def main(cfg: DictConfig) -> Path | None:
     resumed = checkpoint_to_resume(cfg.checkpoint, run_dir / "checkpoints", model)
     if cfg.initial_weights and resumed is None:
         load_initial_weights(network, cfg.initial_weights)
-    if cfg.compile:
+    checkpointing = instantiate(cfg.get("activation_checkpointing"))
+    precision = choose_precision(cfg.trainer.precision, cfg.trainer.accelerator, resumed)
+    captured = is_captured(cfg.compile, cfg.trainer.accelerator, precision, checkpointing)
+    if captured:
         compile_blocks(network)
-    if checkpointing := instantiate(cfg.get("activation_checkpointing")):
+    if checkpointing:
         checkpointing(network)
-    datamodule = instantiate(cfg.datamodule, gbuffer_channels=network.gbuffer_channels, _convert_="all")
-    plan = plan_training(cfg.trainer, datamodule.batching.accumulation, resumed)
+    reads = {"gbuffer_channels": network.gbuffer_channels, "padded": captured}
+    datamodule = instantiate(cfg.datamodule, **reads, _convert_="all")
+    plan = plan_training(cfg.trainer, precision, datamodule.batching.accumulation)
     config = OmegaConf.to_container(cfg, resolve=True) | {PLAN_KEY: asdict(plan)}
     logger = instantiate(cfg.logger)
     info = CheckpointInfo(
@@ -79,7 +84,8 @@ def main(cfg: DictConfig) -> Path | None:
         mlflow_tracking_uri=logger.tracking_uri,
     )
     parts = (instantiate(cfg[name]) for name in ("optimizer", "schedule"))
-    module = RenderingModule(network, instantiate(cfg.loss), ImageMetrics(lpips=None), *parts, info)
+    step = CapturedStep() if captured else PlainStep()
+    module = RenderingModule(network, instantiate(cfg.loss), ImageMetrics(lpips=None), *parts, info, step)
     trainer = instantiate(cfg.trainer, _partial_=True)(  # in two steps: Hydra would treat the logger as a configuration
         logger=logger,
         callbacks=list(instantiate(cfg.callbacks).values()),

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import torch
@@ -28,6 +29,8 @@ class SceneViews:
         gbuffer: [V, C, H, W] first-hit channels in camera space.
         image: [V, 3, H, W] linear radiance, where a reference exists.
         texture: [M, 13, P, P] where materials vary over triangles, see `rfpp.scene.texture`.
+        token_light: [O, 8, K + 1, 3] mean irradiance of each object's surfaces that face an octant, after k bounces;
+            NaN where there are none.
     """
 
     key: str
@@ -37,6 +40,13 @@ class SceneViews:
     gbuffer: np.ndarray
     image: np.ndarray | None = None
     texture: np.ndarray | None = None
+    token_light: np.ndarray | None = None
+
+
+def common_size(count: int) -> int:
+    """Return `count` rounded up to one of eight sizes per power of two."""
+    step = 1 << max(0, count.bit_length() - 4)
+    return -(-count // step) * step
 
 
 #: Parts of a batch that live on a device.
@@ -56,6 +66,7 @@ class RaggedBatch:
         gbuffer: [B, V, C, H, W].
         image: [B, V, 3, H, W] linear radiance, or None when rendering.
         texture: [M, 13, P, P] emission linear, or None where every triangle has one material.
+        token_light: [8 O, K + 1, 3] light of object tokens, see `SceneViews`, or None.
         emitters: [E] the triangles that emit; on the host, so that pairing them with objects waits for no device.
     """
 
@@ -71,6 +82,7 @@ class RaggedBatch:
     keys: tuple[str, ...]
     emitters: Int[np.ndarray, " e"]
     texture: Float[Tensor, "m 13 p p"] | None = None
+    token_light: Float[Tensor, "tokens k 3"] | None = None
 
     @classmethod
     def pack(cls, samples: Sequence[SceneViews]) -> RaggedBatch:
@@ -89,6 +101,7 @@ class RaggedBatch:
         textures = [s.texture for s in samples if s.texture is not None]
         if textures and len(textures) < len(samples):
             raise ValueError("textured scenes and others cannot share a batch")
+        light = [s.token_light.reshape(-1, *s.token_light.shape[2:]) for s in samples if s.token_light is not None]
         with_images = all(s.image is not None for s in samples)
         objects = [t.num_objects for t in triangles]
         return cls(
@@ -104,6 +117,7 @@ class RaggedBatch:
             keys=tuple(s.key for s in samples),
             emitters=np.flatnonzero(np.concatenate([t.is_emissive for t in triangles])),
             texture=packed(textures) if textures else None,
+            token_light=packed(light) if len(light) == len(samples) else None,
         )
 
     @property
@@ -136,6 +150,51 @@ class RaggedBatch:
             texture = torch.cat([texture[:, :10], texture[:, 10:] / per_triangle[:, None, None, None]], dim=1)
         return replace(self, material=material, texture=texture)
 
+    def padded(self) -> RaggedBatch:
+        """Return the batch with numbers of triangles and objects that recur from batch to batch.
+
+        The added triangles are objects of one more scene, after the others, of which there is no view. Images, losses
+        and gradients stay the same.
+        """
+        triangles, objects = len(self.positions), len(self.objects)
+        more = common_size(objects + (common_size(triangles) > triangles)) - objects
+        new = common_size(triangles + more) - triangles if more else 0
+        per_object = [new // more + (number < new % more) for number in range(more)]
+        corners = torch.eye(3).expand(new, 3, 3)  # with an area, for means over objects
+        extra = {"positions": corners, "normals": corners, "material": torch.zeros(new, 10)}
+        if self.texture is not None:
+            extra["texture"] = torch.zeros(new, *self.texture.shape[1:])
+        if self.token_light is not None:
+            extra["token_light"] = torch.full((8 * more, *self.token_light.shape[1:]), torch.nan)
+        lengths = [*self.objects.lengths, *per_object], [*self.scenes.lengths, more]
+        of_objects, of_scenes = (Segments.from_lengths(n) for n in lengths)
+        longest = 1 << (of_objects.longest - 1).bit_length()
+        return replace(
+            self,
+            **{name: torch.cat([getattr(self, name), rows]) for name, rows in extra.items()},
+            objects=replace(of_objects, longest=longest),
+            scenes=replace(of_scenes, longest=len(of_objects)),
+        )
+
+    @property
+    def shape(self) -> tuple[tuple[int, ...], ...]:
+        """Every size that the work on a batch depends on."""
+        bounds = (self.objects.longest, self.scenes.longest)
+        return *(tuple(tensor.shape) for tensor in self.tensors()), bounds
+
+    def tensors(self) -> list[Tensor]:
+        """Return everything that is on the device."""
+        parts = (getattr(self, field.name) for field in fields(self))
+        return [part.offsets if isinstance(part, Segments) else part for part in parts if isinstance(part, _Movable)]
+
+    def with_tensors(self, tensors: Sequence[Tensor]) -> RaggedBatch:
+        """Return a batch of the same shape with other `tensors`, whose lengths the host does not know."""
+        names = [field.name for field in fields(self) if isinstance(getattr(self, field.name), _Movable)]
+        parts: dict[str, Any] = dict(zip(names, tensors, strict=True))
+        for name in ("objects", "scenes"):
+            parts[name] = replace(getattr(self, name), offsets=parts[name], host_lengths=None)
+        return replace(self, **parts)
+
     def only(self, objects: Sequence[int]) -> RaggedBatch:
         """Return a scene of these objects alone, in this order."""
         starts = np.concatenate([[0], np.cumsum(self.objects.lengths)])
@@ -151,6 +210,7 @@ class RaggedBatch:
             scenes=Segments.from_lengths([len(objects)], rows.device),
             emitters=emitters,
             texture=None if self.texture is None else self.texture[rows],
+            token_light=None,
         )
 
     def object_chunks(self, objects: Sequence[int], triangles: int) -> Iterator[list[int]]:

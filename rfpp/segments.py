@@ -1,11 +1,10 @@
-"""Segments: packed sequences of different lengths, without padding."""
+"""Segments: packed sequences of different lengths, without padding between them."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import pairwise
 
 import numpy as np
 import torch
@@ -14,7 +13,7 @@ from torch import Tensor
 
 
 def on_device(array: np.ndarray, device: torch.device | str) -> Tensor:
-    """A host array as a tensor there, without waiting for what the device has been asked to do.
+    """Return a host array as a tensor on a device, without waiting for the work that the device has queued.
 
     From pageable memory a copy to a GPU waits until all work before it is done.
     """
@@ -28,29 +27,44 @@ def on_device(array: np.ndarray, device: torch.device | str) -> Tensor:
 
 @dataclass(frozen=True)
 class Segments:
-    """A partition of a packed axis into consecutive runs (CSR offsets).
+    """A partition of the rows of a packed axis into consecutive runs (CSR offsets).
 
-    The lengths are kept on the host too, so that planning an attention never waits for the device.
+    `total` and `longest` are on the host, so that planning an attention never waits for the device. They are bounds
+    where batches are padded to common sizes (see `RaggedBatch.padded`): one CUDA graph then serves them all.
 
     Attributes:
         offsets: [n + 1] int32, first 0.
-        lengths: n run lengths.
+        total: Rows; those after the last run belong to none.
+        longest: Maximum length of a run, or more.
+        host_lengths: The n run lengths, where the host knows them.
+        unowned: Whether there may be rows after the last run.
     """
 
     offsets: Int[Tensor, " n_plus_1"]
-    lengths: tuple[int, ...]
+    total: int
+    longest: int
+    host_lengths: tuple[int, ...] | None = None
+    unowned: bool = False
 
     @classmethod
     def from_lengths(cls, lengths: Sequence[int], device: torch.device | str = "cpu") -> Segments:
         offsets = np.concatenate([[0], np.cumsum(lengths, dtype=np.int64)]).astype(np.int32)
-        return cls(on_device(offsets, device), tuple(int(n) for n in lengths))
+        on_host = tuple(int(n) for n in lengths)
+        return cls(on_device(offsets, device), int(offsets[-1]), max(on_host, default=0), on_host)
+
+    @classmethod
+    def uniform(cls, count: int, length: int, device: torch.device | str = "cpu") -> Segments:
+        """Return so many runs of one length, made on the device."""
+        offsets = length * torch.arange(count + 1, dtype=torch.int32, device=device)
+        return cls(offsets, count * length, length, count * (length,))
 
     def __len__(self) -> int:
-        return len(self.lengths)
+        return len(self.offsets) - 1
 
-    @property
-    def total(self) -> int:
-        return sum(self.lengths)
+    @cached_property
+    def lengths(self) -> tuple[int, ...]:
+        """The n run lengths; waits for the device where the host does not know them."""
+        return tuple(self.sizes.tolist()) if self.host_lengths is None else self.host_lengths
 
     @property
     def sizes(self) -> Int[Tensor, " n"]:
@@ -59,23 +73,38 @@ class Segments:
 
     @cached_property
     def index(self) -> Int[Tensor, " total"]:
-        """[total] int64: the segment each row belongs to."""
-        segments = torch.arange(len(self), device=self.offsets.device)
-        return torch.repeat_interleave(segments, self.sizes, output_size=self.total)
+        """[total] int64: the run of each row; the last one for rows that belong to none."""
+        rows = torch.arange(self.total, dtype=self.offsets.dtype, device=self.offsets.device)
+        return torch.searchsorted(self.offsets[1:], rows, right=True).clamp_(max=len(self) - 1)
 
     def grouped(self, groups: Segments) -> Segments:
-        """Consecutive runs put together: `groups` are segments of the runs."""
-        bounds = np.concatenate([[0], np.cumsum(groups.lengths)])
-        lengths = (sum(self.lengths[a:b]) for a, b in pairwise(bounds))
-        return Segments(self.offsets[groups.offsets.long()], tuple(lengths))
+        """Return consecutive runs put together: `groups` are segments of the runs."""
+        offsets, lengths = self.offsets[groups.offsets.long()], None
+        if self.host_lengths is not None and groups.host_lengths is not None:
+            bounds = np.cumsum((0, *self.host_lengths))[np.cumsum((0, *groups.host_lengths))]
+            lengths = tuple(np.diff(bounds).tolist())
+        return Segments(offsets, self.total, max(lengths) if lengths else self.total, lengths)
 
     def lengthened(self, by: int) -> Segments:
-        """Every run with so many more rows."""
+        """Return the runs with so many more rows each."""
         more = by * torch.arange(len(self) + 1, dtype=torch.int32, device=self.offsets.device)
-        return Segments(self.offsets + more, tuple(n + by for n in self.lengths))
+        lengths = self.host_lengths and tuple(n + by for n in self.host_lengths)
+        return Segments(self.offsets + more, self.total + by * len(self), self.longest + by, lengths)
+
+    def multiplied(self, by: int) -> Segments:
+        """Return the runs with so many rows in place of each row."""
+        lengths = self.host_lengths and tuple(n * by for n in self.host_lengths)
+        return Segments(self.offsets * by, self.total * by, self.longest * by, lengths)
+
+    def repeated(self, times: int, runs: int) -> Segments:
+        """Return each of the first `runs` runs so many times in succession; `total` is `times` as large."""
+        sizes = self.sizes[:runs].repeat_interleave(times, output_size=runs * times)
+        offsets = torch.nn.functional.pad(sizes.cumsum(0), (1, 0)).to(self.offsets.dtype)
+        lengths = self.host_lengths and tuple(n for n in self.host_lengths[:runs] for _ in range(times))
+        return Segments(offsets, self.total * times, self.longest, lengths, unowned=runs < len(self))
 
     def to(self, device: torch.device | str, **kwargs) -> Segments:
-        return Segments(self.offsets.to(device, **kwargs), self.lengths)
+        return replace(self, offsets=self.offsets.to(device, **kwargs))
 
     def pin_memory(self) -> Segments:
-        return Segments(self.offsets.pin_memory(), self.lengths)
+        return replace(self, offsets=self.offsets.pin_memory())

@@ -39,6 +39,7 @@ class RenderingLoss(nn.Module):
         transport_states: tuple[Tensor, ...],
         target: Float[Tensor, "b v 3 h w"],
         scenes: Segments | None = None,
+        token_light: Float[Tensor, "tokens k 3"] | None = None,
     ) -> dict[str, Tensor]:
         """Every term, unweighted, under its own name; `loss` is their weighted sum.
 
@@ -52,7 +53,7 @@ class RenderingLoss(nn.Module):
             terms["lpips"] = self.perceptual(log_radiance, target)
             loss = loss + self.lpips_weight * terms["lpips"]
         if transport_states:
-            residuals = self.consistency(transport_states, scenes)
+            residuals = self.consistency(transport_states, scenes, len(log_radiance))
             terms["consistency"] = residuals.sum()
             terms |= {f"consistency_{k}": r for k, r in enumerate(residuals, start=1)}
             loss = loss + self.consistency_weight * terms["consistency"]

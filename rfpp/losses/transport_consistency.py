@@ -27,22 +27,26 @@ class TransportConsistency(nn.Module):
         self.stop_gradient = stop_gradient
 
     def forward(
-        self, states: Sequence[Float[Tensor, "n width"]], scenes: Segments | None = None
+        self, states: Sequence[Float[Tensor, "n width"]], scenes: Segments | None = None, count: int | None = None
     ) -> Float[Tensor, " k"]:
         """[K] residuals; the loss is their sum.
 
         Args:
             states: K + 1 scattered features, or none (then K = 0).
             scenes: segments of the N tokens; None: they are all of one scene.
+            count: the scenes that count, the first ones; None: all of them. Padding comes after them.
         """
         residuals = []
         for current, updated in pairwise(states):
             target = updated.detach() if self.stop_gradient else updated
             square = (current.float() - target.float()).square().mean(-1)  # [N]
-            residuals.append(square.mean() if scenes is None else square @ _weights(scenes))
+            residuals.append(square.mean() if scenes is None else square @ _weights(scenes, count))
         return torch.stack(residuals) if residuals else torch.zeros(0)
 
 
-def _weights(scenes: Segments) -> Float[Tensor, " n"]:
-    """[N] summing to 1, each scene's to the same."""
-    return (1 / (len(scenes) * scenes.sizes.float()))[scenes.index]
+def _weights(scenes: Segments, count: int | None) -> Float[Tensor, " n"]:
+    """[N] summing to 1, that of each of the first `count` scenes to the same."""
+    weight = 1 / ((count or len(scenes)) * scenes.sizes.clamp_min(1).float())
+    if count is not None and count < len(scenes):
+        weight = weight * (torch.arange(len(scenes), device=weight.device) < count)
+    return weight[scenes.index]

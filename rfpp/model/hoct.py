@@ -45,7 +45,7 @@ class ObjectTokens(nn.Module):
 
     def forward(self, triangles: Float[Tensor, "m width"], batch: RaggedBatch) -> SceneTokens:
         per_object, n_q = batch.objects, len(self.queries)
-        query_segments = Segments.from_lengths([n_q] * len(per_object), batch.positions.device)
+        query_segments = Segments.uniform(len(per_object), n_q, batch.positions.device)
 
         rotation = self.position(batch.positions.flatten(1))
         within_object = AttentionPattern(per_object)
@@ -65,7 +65,7 @@ class ObjectTokens(nn.Module):
             features=self.norm(tokens),
             points=points,
             log_emission=mean_by_object(batch.log_emission, batch).repeat_interleave(n_q, dim=0),
-            segments=Segments.from_lengths([n_q * n for n in batch.scenes.lengths], batch.positions.device),
+            segments=batch.scenes.multiplied(n_q),
         )
 
 

@@ -12,13 +12,13 @@ from torch import Tensor, nn
 from rfpp.imaging.radiance import log_encode
 from rfpp.model.layers.block import FLOAT32_EPS, RMSNorm
 from rfpp.raycast.first_hit import CHANNELS, LIGHT_CHANNELS
-from rfpp.scene.camera import pixel_plane
-from rfpp.segments import on_device
 
 
 def ray_directions(fov: Float[Tensor, " n"], height: int, width: int) -> Float[Tensor, "n 3 h w"]:
     """Return unit directions [N, 3, H, W] through the pixel centers, in camera space (see `rfpp.scene.camera`)."""
-    plane = on_device(pixel_plane(height, width), fov.device).permute(2, 0, 1)
+    rows, columns = (torch.arange(n, dtype=torch.float32, device=fov.device) for n in (height, width))
+    x, y = columns + 0.5 - width / 2, height / 2 - rows - 0.5  # pixels from the image's center
+    plane = torch.stack([x.expand(height, width), y[:, None].expand(height, width)]) / (max(height, width) / 2)
     xy = plane * torch.tan(torch.deg2rad(fov) / 2)[:, None, None, None]
     return F.normalize(torch.cat([xy, -torch.ones_like(xy[:, :1])], dim=1), dim=1)
 

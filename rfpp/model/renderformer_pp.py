@@ -49,7 +49,12 @@ class RenderFormerPP(nn.Module):
         self.exposure = exposure
 
     def forward(self, batch: RaggedBatch) -> Rendering:
-        scenes = self.encode(batch)
+        exposure = self.exposure(batch)
+        return self.rendered(batch.normalized(exposure), exposure)
+
+    def rendered(self, batch: RaggedBatch, exposure: Float[Tensor, " b"]) -> Rendering:
+        """Render scenes that are already normalized to their exposure; reads nothing from the host."""
+        scenes = self.transported(exposure, self.tokens(batch))
         log_radiance = self.view(scenes, batch.c2w, batch.fov, batch.gbuffer)
         return Rendering(log_radiance, scenes.transport_states, scenes.tokens.segments)
 
@@ -97,8 +102,9 @@ class RenderFormerPP(nn.Module):
         Args:
             fov: Full angle in degrees along the longer image side.
         """
-        log_radiance = self.decoder(scenes.tokens, c2w, fov, gbuffer, scenes.exposure)
-        return log_encode(scenes.exposure[:, None, None, None, None] * log_decode(log_radiance))
+        exposure = scenes.exposure[: len(c2w)]  # a padded batch has one more, see `RaggedBatch.padded`
+        log_radiance = self.decoder(scenes.tokens, c2w, fov, gbuffer, exposure)
+        return log_encode(exposure[:, None, None, None, None] * log_decode(log_radiance))
 
     @property
     def iterations(self) -> int:

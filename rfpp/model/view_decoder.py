@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import cycle
 
-import numpy as np
+import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
@@ -18,7 +18,7 @@ from rfpp.model.layers.encoding import RelativeSpatialEncoding, Rotation, rotate
 from rfpp.model.layers.ray_windows import ShiftedWindows, WholeView
 from rfpp.model.layers.scene_tokens import SceneTokens
 from rfpp.model.ray_bundle import RayBundleEmbedding
-from rfpp.segments import Segments, on_device
+from rfpp.segments import Segments
 
 
 class ViewDecoder(nn.Module):
@@ -80,7 +80,7 @@ class ViewDecoder(nn.Module):
 
         seen = SeenTokens.by(scene, c2w)
         seen_rotation = self.position(seen.points)
-        in_view = Segments.from_lengths([rays.shape[1]] * (batch * views), rays.device)
+        in_view = Segments.uniform(batch * views, rays.shape[1], rays.device)
         to_scene = AttentionPattern(in_view, seen.segments)
         among_rays = cycle(self.windows(batch * views, *grid, rays.device))
 
@@ -144,13 +144,12 @@ class SeenTokens:
     @classmethod
     def by(cls, scene: SceneTokens, c2w: Float[Tensor, "b v 4 4"]) -> SeenTokens:
         """Transform each scene's tokens into the cameras of its views."""
-        views = c2w.shape[1]
-        starts = np.concatenate([[0], np.cumsum(scene.segments.lengths)])
-        rows = np.concatenate(
-            [np.tile(np.arange(n) + start, views) for start, n in zip(starts, scene.segments.lengths, strict=False)]
-        )
-        rows = on_device(rows, c2w.device)
-        segments = Segments.from_lengths([n for n in scene.segments.lengths for _ in range(views)], c2w.device)
+        scenes, views = c2w.shape[:2]
+        segments = scene.segments.repeated(views, scenes)
+        first = scene.segments.offsets[:scenes].repeat_interleave(views) - segments.offsets[:-1]  # of each view's rows
+        rows = torch.arange(segments.total, device=c2w.device) + first[segments.index]
+        if segments.unowned:
+            rows = rows.clamp(max=len(scene.points) - 1)
         camera = c2w.flatten(0, 1)[segments.index]
         points = to_camera(scene.points[rows].unflatten(-1, (3, 3)), camera)
         return cls(rows, points.flatten(1), segments)

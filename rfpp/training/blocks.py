@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from functools import partial
+from typing import Any
 
 import torch
-from torch import nn
+from torch import Tensor, nn
 from torch.utils.checkpoint import checkpoint
 
 from rfpp.batch import RaggedBatch
 from rfpp.errors import UserError
+from rfpp.model.dpt import DPTHead
 from rfpp.model.hoct import ObjectTokens
 from rfpp.model.layers import attention
 from rfpp.model.layers.block import CrossBlock, SelfBlock
@@ -20,14 +22,26 @@ from rfpp.model.view_decoder import DecoderBlock
 
 
 def compile_blocks(network: nn.Module) -> None:
-    """Compile every block for any number of tokens.
+    """Compile every block for any number of tokens, and the image head; without gradients they run as they are.
 
     Blocks of one kind share their compiled code. The rest of a network plans ragged attention and is not compiled.
     """
     # it plans with NumPy and calls fused kernels; disabled here, because the decorator imports the compiler
     attention.attend_bucketed = torch.compiler.disable(attention.attend_bucketed)
     for block in _blocks(network):
-        block.forward = torch.compile(block.forward, dynamic=True)
+        block.forward = _in_training(block.forward, torch.compile(block.forward, dynamic=True))
+    for part in network.modules():
+        if isinstance(part, DPTHead):
+            part.forward = _in_training(part.forward, torch.compile(part.forward))
+
+
+def _in_training(plain: Callable[..., Tensor], compiled: Callable[..., Tensor]) -> Callable[..., Tensor]:
+    """Compiling for validation too would cost more than it saves."""
+
+    def forward(*inputs: Any) -> Tensor:
+        return (compiled if torch.is_grad_enabled() else plain)(*inputs)
+
+    return forward
 
 
 class RecomputedBlocks:

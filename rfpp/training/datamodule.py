@@ -16,7 +16,7 @@ from rfpp.shards.order import ShuffledOrder, truncated
 from rfpp.shards.views import AllViews
 from rfpp.training.augmentation import Augmentation
 from rfpp.training.batching import Batching
-from rfpp.training.loader import SceneLoader, SkippingCorrupt, pack_readable
+from rfpp.training.loader import SceneLoader, SkippingCorrupt, pack_padded, pack_readable
 from rfpp.training.signals import exit_with_parent
 from rfpp.training.source import DataSource
 from rfpp.training.views import GlobalBatches, TrainingViews
@@ -29,6 +29,7 @@ class SceneDataModule(L.LightningDataModule):
 
     Args:
         gbuffer_channels: Channels that the network reads, in order.
+        padded: Whether to round training batches up to recurring sizes, see `RaggedBatch.padded`.
         augmentation: Name → augmentation of training draws, applied in this order; None disables one.
     """
 
@@ -40,11 +41,12 @@ class SceneDataModule(L.LightningDataModule):
         augmentation: Mapping[str, Augmentation | None],
         workers: int,
         seed: int,
+        padded: bool = False,
     ):
         super().__init__()
         self.source, self.batching, self.channels = source, batching, tuple(gbuffer_channels)
         self.augmentations = [one for one in augmentation.values() if one is not None]
-        self.workers, self.seed = workers, seed
+        self.workers, self.seed, self.padded = workers, seed, padded
         self._steps_before = 0
 
     @property
@@ -72,9 +74,8 @@ class SceneDataModule(L.LightningDataModule):
             accumulate=trainer.accumulate_grad_batches,
         )
         views = TrainingViews(split, self.channels, self.batching.views_per_scene, self.augmentations, self.seed)
-        if self.source.skip_corrupt:
-            return self._loader(SkippingCorrupt(views), pack_readable, batch_sampler=batches)
-        return self._loader(views, RaggedBatch.pack, batch_sampler=batches)
+        pack = pack_padded if self.padded else pack_readable
+        return self._loader(SkippingCorrupt(views) if self.source.skip_corrupt else views, pack, batch_sampler=batches)
 
     def val_dataloader(self) -> DataLoader:
         scenes, trainer = AllViews(self.source.validation(), self.channels), self.trainer

@@ -56,3 +56,8 @@ def pack_readable(scenes: Sequence[SceneViews | None]) -> RaggedBatch:
     if not readable:
         raise ShardError(f"none of a batch's {len(scenes)} scenes can be read: see the warnings above")
     return RaggedBatch.pack(readable)
+
+
+def pack_padded(scenes: Sequence[SceneViews | None]) -> RaggedBatch:
+    """Collate like `pack_readable`, into sizes that recur."""
+    return pack_readable(scenes).padded()

@@ -18,6 +18,7 @@ from rfpp.imaging.radiance import log_decode
 from rfpp.losses.rendering import RenderingLoss
 from rfpp.metrics.image import ImageMetrics
 from rfpp.model.renderformer_pp import Rendering
+from rfpp.training.steps import CapturedStep, PlainStep
 
 
 class RenderingModule(L.LightningModule):
@@ -25,6 +26,7 @@ class RenderingModule(L.LightningModule):
 
     Args:
         info: Description of the network in checkpoints, from which they load without this class.
+        step: How the loss is differentiated.
     """
 
     def __init__(
@@ -35,23 +37,18 @@ class RenderingModule(L.LightningModule):
         optimizer: Callable[[Iterable[dict]], Optimizer],
         schedule: Callable[[Optimizer], LRScheduler],
         info: CheckpointInfo,
+        step: PlainStep | CapturedStep,
     ):
         super().__init__()
         self.network, self.loss, self.metrics, self.info = network, loss, metrics, info
-        self._optimizer, self._schedule = optimizer, schedule
+        self.step, self._optimizer, self._schedule = step, optimizer, schedule
 
     def forward(self, batch: RaggedBatch) -> Rendering:
         return self.network(batch)
 
     def training_step(self, batch: RaggedBatch, _: int) -> dict[str, Tensor]:
         """Return `loss` and `tokens`, the number of scene tokens."""
-        rendering = self(batch)
-        terms = self.loss(
-            rendering.log_radiance,
-            rendering.transport_states,
-            batch.image,
-            rendering.token_segments,
-        )
+        terms, tokens = self.step(self.network, self.loss, batch)
         scenes = len(batch.keys)
         self.log("train/loss", terms["loss"].detach(), prog_bar=True, batch_size=scenes)
         others = {metric_name(term): value.detach() for term, value in terms.items() if term != "loss"}
@@ -59,7 +56,7 @@ class RenderingModule(L.LightningModule):
         self.log_dict({**others, "train/learning_rate": rate}, batch_size=scenes)
         # a step averages over its batches; weighting by scenes gives each scene the same weight if others are skipped
         loss = terms["loss"] * (scenes / self.trainer.datamodule.scenes_per_batch)
-        return {"loss": loss, "tokens": torch.tensor(rendering.token_segments.total)}
+        return {"loss": loss, "tokens": torch.tensor(tokens)}
 
     def validation_step(self, batch: RaggedBatch, _: int) -> dict[str, Tensor]:
         """Log all metrics; return `radiance` [B, V, 3, H, W] for callbacks."""

@@ -38,7 +38,7 @@ class TrainingPlan:
         return {name: value for name, value in asdict(self).items() if name != "ranks"}
 
 
-def plan_training(trainer: Mapping[str, Any], accumulation: Callable[[int], int], resumed: Path | None) -> TrainingPlan:
+def plan_training(trainer: Mapping[str, Any], precision: str, accumulation: Callable[[int], int]) -> TrainingPlan:
     """Plan a training run.
 
     `trainer.val_check_interval` counts optimizer steps and Lightning counts batches. A run shorter than the interval
@@ -51,7 +51,7 @@ def plan_training(trainer: Mapping[str, Any], accumulation: Callable[[int], int]
     accumulate = accumulation(ranks)
     return TrainingPlan(
         ranks=ranks,
-        precision=choose_precision(trainer["precision"], trainer["accelerator"], resumed),
+        precision=precision,
         accumulate_grad_batches=accumulate,
         val_check_interval=min(trainer["val_check_interval"], trainer["max_steps"]) * accumulate,
     )
@@ -73,6 +73,26 @@ def choose_precision(setting: str, accelerator: str, resumed: Path | None) -> st
             stacklevel=2,
         )
     return setting
+
+
+def is_captured(setting: str | bool, accelerator: str, precision: str, checkpointing: object) -> bool:
+    """Return whether blocks are compiled and steps captured as CUDA graphs.
+
+    "auto" does so on a GPU in bfloat16. In float32, attention is planned on the host; activation checkpointing saves
+    random states, which waits for the GPU.
+
+    Raises:
+        UserError: If the setting is neither true, false nor "auto", or true where it is impossible.
+    """
+    if setting not in (True, False, AUTO):
+        raise UserError(f"compile={setting}: choose from auto, true, false")
+    possible = _device(accelerator).type == "cuda" and precision == "bf16-mixed" and not checkpointing
+    if setting is True and not possible:
+        raise UserError(
+            "compile=true needs a GPU, trainer.precision=bf16-mixed and activation_checkpointing=null: "
+            "choose compile=auto, which compiles where it can"
+        )
+    return possible and bool(setting)
 
 
 def _devices_per_node(devices: Any) -> int:

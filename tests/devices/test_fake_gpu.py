@@ -94,7 +94,7 @@ def test_what_a_renderer_encodes_of_a_scene_on_the_host_is_on_the_device(name, m
     monkeypatch.setattr(object_encoder, "object_keys", lambda batch, *_: list(range(len(batch.objects.lengths))))
     with fake_gpu():
         net = network_on(GPU, *VARIANTS[name]).eval()
-        batch = batch_for(net, scenes=1)
+        batch = batch_for(net, sizes=((14, 6, 1),))
         encoded = net.transported(*object_encoder.ObjectEncoder(net, GPU).tokenize(batch))
         seen = (x.to(GPU) for x in (batch.c2w, batch.fov, batch.gbuffer))
         assert net.view(encoded, *seen).device == GPU
@@ -118,7 +118,7 @@ def test_only_rays_of_whole_views_go_to_the_kernel_that_is_planned_for_each_shap
     monkeypatch.setattr(attention, "attend_equal", lambda *a: lengths.add(a[-1].equal_length) or kernel(*a))
     with fake_gpu():
         net = network_on(GPU, *variant).eval()
-        batch = batch_for(net, scenes=1).to(GPU)
+        batch = batch_for(net, sizes=((14, 6, 1),)).to(GPU)
         assert net(batch).log_radiance.shape == (1, 2, 3, 16, 16)
     windows = isinstance(net.decoder.windows, ShiftedWindows)
     assert lengths == (set() if windows else {(16 // net.patch_size) ** 2})

@@ -37,7 +37,7 @@ def test_own_tokens_leave_the_image_unchanged(experiment, ablation):
 @pytest.mark.parametrize("ablation", [OTHER_TOKENS, OTHER_ENCODED_TOKENS])
 def test_other_tokens_change_the_image_even_if_there_are_fewer(ablation):
     net = network(PAPER)
-    batch, fewer = batch_for(net), TokenFeatures.of(net, batch_for(net, scenes=1))
+    batch, fewer = batch_for(net), TokenFeatures.of(net, batch_for(net, sizes=((14, 6, 1),)))
     image = ablated(net, batch, flipped(fewer))[ablation]
     assert not torch.allclose(image, net(batch).log_radiance, rtol=1e-3, atol=1e-5)
 
@@ -73,7 +73,7 @@ def test_a_network_without_an_operator_has_no_such_ablation():
 @torch.no_grad()
 def test_growth_compares_with_the_unmodified_error_and_needs_a_batch_before():
     net, errors = network(PAPER), AblationErrors()
-    first, second = batch_for(net, scenes=1), batch_for(net)
+    first, second = batch_for(net, sizes=((14, 6, 1),)), batch_for(net)
     errors.add(net, first, net(first).log_radiance)
     assert errors.growth() == {}
     errors.add(net, second, net(second).log_radiance)

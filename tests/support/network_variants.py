@@ -23,9 +23,11 @@ VARIANTS = {
 }  # fmt: skip
 
 
-def batch_for(net: RenderFormerPP, resolution: int = 16, scenes: int = 2) -> RaggedBatch:
+def batch_for(
+    net: RenderFormerPP, resolution: int = 16, sizes: tuple[tuple[int, ...], ...] = ((14, 6, 1), (3, 9, 2, 1))
+) -> RaggedBatch:
+    """Scenes of objects of so many triangles, with the channels that a network reads."""
     rng, channels = np.random.default_rng(0), sum(CHANNELS[name] for name in net.gbuffer_channels)
-    sizes = ((14, 6, 1), (3, 9, 2, 1))[:scenes]
     return RaggedBatch.pack([random_views(rng, each, resolution=resolution, channels=channels) for each in sizes])
 
 

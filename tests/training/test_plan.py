@@ -16,7 +16,7 @@ TRAINER = {
 
 
 def planned(**change):
-    return plan_training({**TRAINER, **change}, lambda ranks: 24 // ranks, None)
+    return plan_training({**TRAINER, **change}, "32-true", lambda ranks: 24 // ranks)
 
 
 def test_ranks_share_the_batches_of_a_step():

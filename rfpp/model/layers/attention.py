@@ -14,7 +14,7 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 import torch
 import torch.nn.functional as F
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 from torch.nn.attention import SDPBackend, sdpa_kernel
 
@@ -40,7 +40,8 @@ class AttentionPattern:
         queries, keys: segments of the rows; without `keys`, self-attention.
         order: for self-attention, the row that comes first, second, … when the segments are laid out end to end;
             None where that is the order of the rows.
-        recurring: whether the same lengths come again and again, as those of the rays of views do.
+        equal_length: for self-attention, the length of every segment where all are equal and the same from batch to
+            batch, as those of the rays of views are; else 0.
 
     Raises:
         ValueError: the segments do not pair up, or an order is given for cross-attention.
@@ -51,7 +52,7 @@ class AttentionPattern:
         queries: Segments,
         keys: Segments | None = None,
         order: Int[Tensor, " n"] | None = None,
-        recurring: bool = False,
+        equal_length: int = 0,
     ):
         if order is not None and keys is not None:
             raise ValueError("an order of the rows is for self-attention")
@@ -59,10 +60,7 @@ class AttentionPattern:
         if len(queries) != len(keys):
             raise ValueError(f"{len(queries)} query segments for {len(keys)} key segments")
         self.queries, self.keys, self.order = queries, keys, order
-        self.longest_query, self.longest_key = max(queries.lengths), max(keys.lengths)
-        every = {*queries.lengths, *keys.lengths}
-        #: Rows of every segment of either; 0 where they differ, or do not recur.
-        self.equal_length = every.pop() if recurring and len(every) == 1 else 0
+        self.longest_query, self.longest_key, self.equal_length = queries.longest, keys.longest, equal_length
 
     @cached_property
     def inverse_order(self) -> Int[Tensor, " n"]:
@@ -72,11 +70,18 @@ class AttentionPattern:
         return self.order.argsort()
 
     @cached_property
+    def real_keys(self) -> Bool[Tensor, " keys"]:
+        """Return which key rows belong to a segment."""
+        offsets = self.keys.offsets
+        return torch.arange(self.keys.total, device=offsets.device) < offsets[-1]
+
+    @cached_property
     def buckets(self) -> list[Bucket]:
         """Segments grouped by padded key and query length, shortest first, in groups of a power of two."""
         query_lengths, key_lengths = np.array(self.queries.lengths), np.array(self.keys.lengths)
         padded = np.stack([padded_length(query_lengths), padded_length(key_lengths)])
         order = np.lexsort(padded)
+        order = order[query_lengths[order] > 0]
         changes = np.flatnonzero((np.diff(padded[:, order]) != 0).any(axis=0)) + 1
         q_starts, k_starts = (np.cumsum(n) - n for n in (query_lengths, key_lengths))
         return [
@@ -113,7 +118,7 @@ class Bucket(NamedTuple):
 
 def padded_length(lengths: np.ndarray) -> np.ndarray:
     """Lengths rounded up to a power of two, above GRANULARITY to a multiple of it."""
-    small = 2 ** np.ceil(np.log2(lengths)).astype(int)
+    small = 2 ** np.ceil(np.log2(np.maximum(lengths, 1))).astype(int)
     return np.where(lengths <= GRANULARITY, small, -(-lengths // GRANULARITY) * GRANULARITY)
 
 
@@ -144,9 +149,9 @@ class PaddedLayout:
         self.shapes = [r.shape for r in rows]
         flat = np.concatenate([r.ravel() for r in rows])
         real = flat >= 0
-        inverse = np.empty(segments.total, dtype=np.int64)
+        inverse = np.empty(sum(segments.lengths), dtype=np.int64)
         inverse[flat[real]] = np.flatnonzero(real)
-        self.trivial = bool(len(flat) == segments.total and (flat == np.arange(len(flat))).all())
+        self.trivial = bool(len(flat) == len(inverse) and (flat == np.arange(len(flat))).all())
         device = segments.offsets.device
         self.padded_from_packed = on_device(np.where(real, flat, 0), device)
         self.packed_from_padded = on_device(inverse, device)
@@ -214,6 +219,8 @@ def has_varlen_kernel(q: Float[Tensor, "n h d"]) -> bool:
 
 def attend_bucketed(q: Tensor, k: Tensor, v: Tensor, pattern: AttentionPattern) -> Tensor:
     """Dense attention per bucket of similar key lengths."""
+    if pattern.keys.unowned:
+        k, v = (x[: sum(pattern.keys.lengths)] for x in (k, v))
     qs, ks, vs = pattern.query_layout.pad(q), pattern.key_layout.pad(k), pattern.key_layout.pad(v)
     out = [_attend_dense(*qkv, mask) for qkv, mask in zip(zip(qs, ks, vs, strict=True), pattern.key_masks, strict=True)]
     return pattern.query_layout.unpad(out)
@@ -243,6 +250,9 @@ def attend_varlen(q: Tensor, k: Tensor, v: Tensor, pattern: AttentionPattern) ->
     """FlashAttention's variable-length kernel on the packed rows (CUDA, half precision)."""
     from torch.nn.attention.varlen import varlen_attn
 
+    if pattern.keys.unowned:  # nobody reads those rows, and nobody writes their gradients either
+        real = pattern.real_keys[:, None, None]
+        k, v = k.where(real, 0), v.where(real, 0)
     offsets = pattern.queries.offsets, pattern.keys.offsets
     out = varlen_attn(q, k, v, *offsets, pattern.longest_query, pattern.longest_key)
     return cast(Tensor, out)  # a pair where log-sum-exps are asked for

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from typing import TypeVar
+
 import numpy as np
 import torch
+from torch import Tensor
 
 from rfpp.model.layers.attention import AttentionPattern
-from rfpp.segments import Segments, on_device
+from rfpp.segments import Segments
+
+Positions = TypeVar("Positions", np.ndarray, Tensor)
 
 
 class WholeView:
@@ -14,7 +19,8 @@ class WholeView:
 
     def __call__(self, views: int, rows: int, columns: int, device: torch.device) -> tuple[AttentionPattern, ...]:
         """Return the patterns for N views of rows × columns patches, used by the layers in turn."""
-        return (AttentionPattern(Segments.from_lengths([rows * columns] * views, device), recurring=True),)
+        rays = rows * columns
+        return (AttentionPattern(Segments.uniform(views, rays, device), equal_length=rays),)
 
 
 class ShiftedWindows:
@@ -34,14 +40,18 @@ class ShiftedWindows:
         return tuple(self._pattern(views, rows, columns, shift, device) for shift in (0, self.size // 2))
 
     def _pattern(self, views: int, rows: int, columns: int, shift: int, device: torch.device) -> AttentionPattern:
-        down, along = (_windows(n, self.size, shift) for n in (rows, columns))
-        window = (down[:, None] * (along[-1] + 1) + along).ravel()
-        window = (np.arange(views)[:, None] * (window.max() + 1) + window).ravel()
-        order = on_device(np.argsort(window, kind="stable"), device)
-        return AttentionPattern(Segments.from_lengths(np.bincount(window).tolist(), device), order=order)
+        counts = [np.bincount(_windows(np.arange(n), self.size, shift)) for n in (rows, columns)]
+        lengths = views * np.outer(*counts).ravel().tolist()
+        # made on the device: a CUDA graph must not copy from the host
+        down, along = (_windows(torch.arange(n, device=device), self.size, shift) for n in (rows, columns))
+        view = torch.arange(views, device=device)[:, None, None]
+        window = ((view * len(counts[0]) + down[:, None]) * len(counts[1]) + along).flatten()
+        order = window.argsort(stable=True)
+        ends = torch.searchsorted(window[order], torch.arange(len(lengths) + 1, device=device), out_int32=True)
+        return AttentionPattern(Segments(ends, sum(lengths), max(lengths), tuple(lengths)), order=order)
 
 
-def _windows(count: int, size: int, shift: int) -> np.ndarray:
-    """Return the window [count] that each position along an axis lies in."""
-    window: np.ndarray = (np.arange(count) + (size - shift) % size) // size
-    return window - int(window[0])
+def _windows(positions: Positions, size: int, shift: int) -> Positions:
+    """Return the window of each position along an axis."""
+    start = (size - shift) % size
+    return (positions + start) // size - start // size

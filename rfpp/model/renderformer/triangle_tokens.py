@@ -26,7 +26,7 @@ class TriangleTokens(nn.Module):
         device, scenes, registers = triangles.device, len(batch.scenes), len(self.registers)
         per_scene = batch.objects.grouped(batch.scenes)
         center = batch.positions.new_zeros(scenes, 3).index_add(0, per_scene.index, batch.positions.mean(1))
-        center = center / per_scene.sizes[:, None]
+        center = center / per_scene.sizes.clamp_min(1)[:, None]
 
         # all registers, then all triangles, sorted into registers and triangles of the first scene, of the second, …
         owner = torch.cat([torch.arange(scenes, device=device).repeat_interleave(registers), per_scene.index])

@@ -58,13 +58,13 @@ class StepStatistics(L.Callback):
         batch: RaggedBatch,
         batch_index: int,
     ) -> None:
-        images = len(batch.scenes) * batch.num_views
+        images = len(batch.keys) * batch.num_views
         height, width = batch.resolution
         bundles = images * (height // module.network.patch_size) * (width // module.network.patch_size)
         self._batches += 1
         self._skipped += trainer.datamodule.scenes_per_batch - len(batch.keys)
         self._counts.update(
-            scenes=len(batch.scenes),
+            scenes=len(batch.keys),
             images=images,
             triangles=batch.objects.total,
             tokens=int(outputs["tokens"]) + bundles,

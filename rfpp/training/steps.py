@@ -1,0 +1,130 @@
+"""The differentiated part of a training step: executed as written, or captured as a CUDA graph."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import torch
+from lightning.pytorch.utilities import rank_zero_info
+from torch import Tensor
+from torch.autograd.function import once_differentiable
+
+from rfpp.batch import RaggedBatch
+from rfpp.cuda_graphs import CudaGraph
+from rfpp.losses.rendering import RenderingLoss
+from rfpp.model.renderformer_pp import RenderFormerPP, Rendering
+
+
+class StepResult(NamedTuple):
+    """The loss under the name `loss`, each of its terms under its own, and the number of scene tokens."""
+
+    terms: dict[str, Tensor]
+    tokens: int
+
+
+class PlainStep:
+    """Network and loss of a batch, differentiated by autograd."""
+
+    def __call__(self, network: RenderFormerPP, loss: RenderingLoss, batch: RaggedBatch) -> StepResult:
+        return _losses(loss, network(batch), batch)
+
+
+class CapturedStep:
+    """Network, loss and backward pass as one CUDA graph for each shape of a batch (`RaggedBatch.padded`).
+
+    A step of thousands of small kernels then takes as long as the GPU computes, not as long as the host launches. The
+    backward pass runs with the forward pass; autograd is given its gradients.
+    """
+
+    def __init__(self) -> None:
+        self._graphs: dict[tuple, _StepGraph] = {}
+
+    def __call__(self, network: RenderFormerPP, loss: RenderingLoss, batch: RaggedBatch) -> StepResult:
+        exposure = network.exposure(batch)
+        batch = batch.normalized(exposure)
+        if batch.shape not in self._graphs:
+            begin = time.perf_counter()
+            self._graphs[batch.shape] = _StepGraph(network, loss, batch, exposure, self._memory(network, loss))
+            rank_zero_info(
+                f"captured the step of {len(batch.positions):,} triangles in {len(batch.objects):,} objects "
+                f"in {time.perf_counter() - begin:.1f} s; it serves all batches of these padded sizes"
+            )
+        graph = self._graphs[batch.shape]
+        terms = dict(zip(graph.names, graph.replay(batch, exposure), strict=True))
+        return StepResult(
+            terms | {"loss": _Differentiated.apply(terms["loss"], graph, *graph.parameters)}, graph.tokens
+        )
+
+    def _memory(self, network: RenderFormerPP, loss: RenderingLoss) -> _Memory:
+        for graph in self._graphs.values():
+            return graph.memory
+        trained = [p for p in (*network.parameters(), *loss.parameters()) if p.requires_grad]
+        gradients = torch.empty(sum(p.numel() for p in trained), device=trained[0].device)
+        return _Memory(torch.cuda.graph_pool_handle(), gradients, trained)
+
+
+class _Memory(NamedTuple):
+    """Memory of all graphs, which are replayed one at a time and whose outputs are read before the next."""
+
+    pool: tuple[int, int]
+    gradients: Tensor
+    trained: list[Tensor]
+
+
+class _StepGraph:
+    """The step of batches of one shape.
+
+    Attributes:
+        names: Names of the terms that `replay` returns.
+        tokens: Scene tokens, with those of the padding.
+        parameters: Parameters that the loss depends on.
+        gradients: Their gradients of the last replay, flattened, one after the other.
+    """
+
+    def __init__(
+        self, network: RenderFormerPP, loss: RenderingLoss, batch: RaggedBatch, exposure: Tensor, memory: _Memory
+    ):
+        self.memory, self.gradients, self.parameters = memory, memory.gradients, memory.trained
+        self.names: tuple[str, ...] = ()
+        self.tokens = 0
+
+        def step(exposure: Tensor, *tensors: Tensor) -> Sequence[Tensor]:
+            rebuilt = batch.with_tensors(tensors)
+            terms, self.tokens = _losses(loss, network.rendered(rebuilt, exposure), rebuilt)
+            gradients = torch.autograd.grad(terms["loss"], memory.trained, allow_unused=True)
+            used = [(p, grad) for p, grad in zip(memory.trained, gradients, strict=True) if grad is not None]
+            self.names, self.parameters = tuple(terms), [p for p, _ in used]
+            self.gradients = memory.gradients[: sum(p.numel() for p in self.parameters)]
+            torch.cat([grad.flatten() for _, grad in used], out=self.gradients)
+            return [torch.stack([term.detach() for term in terms.values()])]
+
+        self._graph = CudaGraph(step, [exposure, *batch.tensors()], memory.pool)
+
+    def replay(self, batch: RaggedBatch, exposure: Tensor) -> tuple[Tensor, ...]:
+        """Compute the terms and gradients of a batch; return the terms."""
+        [terms] = self._graph(exposure, *batch.tensors())
+        return terms.clone().unbind()
+
+
+class _Differentiated(torch.autograd.Function):
+    """The loss, as a function of parameters whose gradients are known."""
+
+    @staticmethod
+    def forward(ctx: Any, loss: Tensor, graph: _StepGraph, *_: Tensor) -> Tensor:
+        ctx.graph = graph
+        return loss.clone()
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, grad: Tensor) -> tuple[Tensor | None, ...]:
+        parameters = ctx.graph.parameters
+        pieces = (ctx.graph.gradients * grad).split([p.numel() for p in parameters])
+        return None, None, *(piece.view_as(p) for piece, p in zip(pieces, parameters, strict=True))
+
+
+def _losses(loss: RenderingLoss, rendering: Rendering, batch: RaggedBatch) -> StepResult:
+    segments = rendering.token_segments
+    terms = loss(rendering.log_radiance, rendering.transport_states, batch.image, segments, batch.token_light)
+    return StepResult(terms, segments.total)

@@ -1,0 +1,55 @@
+"""A padded batch is the batch: the same images, losses and gradients."""
+
+import numpy as np
+import pytest
+import torch
+from networks import network
+from network_variants import VARIANTS, batch_for, loss
+
+from rfpp.batch import common_size
+from rfpp.training.steps import PlainStep
+
+
+def gradients(net, batch) -> dict[str, torch.Tensor]:
+    net.zero_grad()
+    terms, _ = PlainStep()(net, loss(), batch)
+    terms["loss"].backward()
+    terms = {f"term {name}": term.detach() for name, term in terms.items()}
+    return terms | {name: p.grad.clone() for name, p in net.named_parameters() if p.grad is not None}
+
+
+def as_on_a_gpu(batch):
+    """The batch that a CUDA graph sees: the host knows no length of it."""
+    return batch.with_tensors(batch.tensors())
+
+
+@pytest.mark.parametrize("sizes", [((14, 6, 1), (3, 9, 2, 1, 2)), ((14, 6, 1), (3, 9, 2, 1))], ids=["more", "none"])
+@pytest.mark.parametrize("variant", VARIANTS.values(), ids=VARIANTS.keys())
+def test_a_padded_batch_has_the_same_losses_and_gradients(variant, sizes):
+    torch.manual_seed(0)
+    net = network(*variant).train()
+    batch = batch_for(net, resolution=32, sizes=sizes)
+    padded = batch.padded()
+    assert len(padded.scenes) == len(batch.scenes) + 1
+    assert (len(padded.positions), len(padded.objects)) == ((40, 9) if len(sizes[1]) == 5 else (36, 7))
+    expected = gradients(net, batch)
+    for found in (gradients(net, padded), gradients(net, as_on_a_gpu(padded))):
+        assert found.keys() == expected.keys()
+        for name, right in expected.items():
+            assert float((found[name] - right).norm()) <= 1e-4 * float(right.norm()) + 1e-7, name
+
+
+def test_padded_sizes_recur():
+    sizes = {common_size(n) for n in range(1024, 2048)}
+    assert len(sizes) == 9
+    assert all(n <= common_size(n) <= 1.125 * n for n in range(1, 5000))
+
+
+def test_the_padding_is_in_its_own_scene_and_has_an_area():
+    net = network(*VARIANTS["paper"])
+    padded = batch_for(net, resolution=32, sizes=((14, 6, 1), (3, 9, 2, 1, 2))).padded()
+    real = sum(padded.scenes.lengths[:-1])
+    assert (padded.objects.index[padded.areas > 0]).unique().numel() == len(padded.objects)
+    assert padded.material[sum(padded.objects.lengths[:real]) :].abs().sum() == 0
+    assert padded.objects.longest >= max(padded.objects.lengths)
+    assert np.log2(padded.objects.longest) % 1 == 0
