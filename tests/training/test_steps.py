@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 import torch
-from networks import network
 from network_variants import VARIANTS, batch_for, loss
+from networks import network
 
 from rfpp.batch import common_size
 from rfpp.training.steps import PlainStep
