@@ -13,6 +13,7 @@ from jaxtyping import Float
 from rfpp.batch import RaggedBatch, SceneViews
 from rfpp.imaging.radiance import log_decode
 from rfpp.inference.bounded_cache import digest_of
+from rfpp.inference.captured import CapturedStages
 from rfpp.inference.gbuffers import GBufferSource
 from rfpp.inference.object_encoder import ObjectEncoder
 from rfpp.inference.plan import Plan
@@ -40,8 +41,11 @@ class NetworkEngine:
         convert_blocks(self.module, dtype)
         self.device, self.dtype = device, dtype
         self.patch_size, self.iterations = network.patch_size, network.iterations
-        #: Encoder of single objects; None for a network whose tokens are triangles.
-        self.objects = ObjectEncoder(network, device) if isinstance(network.tokenizer, ObjectTokens) else None
+        captured = device.type == "cuda" and dtype == torch.bfloat16
+        self._captured = CapturedStages(network) if captured else None
+        #: Encoder of single objects; None for a network whose tokens are triangles, and where all are encoded at once.
+        by_object = isinstance(network.tokenizer, ObjectTokens) and not captured
+        self.objects = ObjectEncoder(network, device) if by_object else None
         self._gbuffers = GBufferSource(network.gbuffer_channels)
         self._encoded: tuple[bytes, EncodedScenes] | None = None
 
@@ -59,7 +63,8 @@ class NetworkEngine:
             seen = torch.from_numpy(gbuffer)[None, None].to(self.device)
             one = slice(view, view + 1)
             with torch.inference_mode(), self.autocast():
-                log_radiance = self.module.view(encoded, c2w[None, one], fov[None, one], seen)
+                stage = self._captured or self.module
+                log_radiance = stage.view(encoded, c2w[None, one], fov[None, one], seen)
             yield log_decode(log_radiance)[0, 0].permute(1, 2, 0).clamp_min(0).cpu().numpy()
 
     def autocast(self) -> torch.autocast:
@@ -78,6 +83,8 @@ class NetworkEngine:
         return self._encoded[1]
 
     def _transported(self, batch: RaggedBatch, transports: int | None) -> EncodedScenes:
+        if self._captured:
+            return self._captured.encode(batch.padded().to(self.device), transports)
         source = self.module if self.objects is None else self.objects
         exposure, tokens = source.tokenize(batch if self.objects else batch.to(self.device))
         if transports is None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import torch
@@ -90,7 +89,7 @@ class _StepGraph:
         self.names: tuple[str, ...] = ()
         self.tokens = 0
 
-        def step(exposure: Tensor, *tensors: Tensor) -> Sequence[Tensor]:
+        def step(exposure: Tensor, *tensors: Tensor) -> Tensor:
             rebuilt = batch.with_tensors(tensors)
             terms, self.tokens = _losses(loss, network.rendered(rebuilt, exposure), rebuilt)
             gradients = torch.autograd.grad(terms["loss"], memory.trained, allow_unused=True)
@@ -98,14 +97,13 @@ class _StepGraph:
             self.names, self.parameters = tuple(terms), [p for p, _ in used]
             self.gradients = memory.gradients[: sum(p.numel() for p in self.parameters)]
             torch.cat([grad.flatten() for _, grad in used], out=self.gradients)
-            return [torch.stack([term.detach() for term in terms.values()])]
+            return torch.stack([term.detach() for term in terms.values()])
 
         self._graph = CudaGraph(step, [exposure, *batch.tensors()], memory.pool)
 
     def replay(self, batch: RaggedBatch, exposure: Tensor) -> tuple[Tensor, ...]:
         """Compute the terms and gradients of a batch; return the terms."""
-        [terms] = self._graph(exposure, *batch.tensors())
-        return terms.clone().unbind()
+        return self._graph(exposure, *batch.tensors()).clone().unbind()
 
 
 class _Differentiated(torch.autograd.Function):

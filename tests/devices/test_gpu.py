@@ -9,13 +9,14 @@ import pytest
 import torch
 from attention_inputs import random_qkv, values_and_gradients
 from fake_gpu import network_on
-from gpu_runs import compile_whole_blocks
+from gpu_runs import captured_against_plain, compile_whole_blocks
 from marks import requires_gpu
 from network_variants import VARIANTS, batch_for, loss
 from small_data import make
 from training_runs import finish, start, train, wait_for_step
 
 from rfpp import Renderer
+from rfpp.inference.captured import CapturedStages
 from rfpp.model.layers.attention import (
     DENSE_FROM,
     AttentionPattern,
@@ -54,8 +55,9 @@ def test_all_backends_agree_in_values_and_gradients(dim, kind):
     rng = np.random.default_rng(dim)
     lengths = [1024] * 3 if kind == "rays" else rng.integers(1, 700, 23).tolist()
     queries = lengths if kind in ("self", "rays") else [8 if kind == "queries of objects" else 256] * 23
+    equal = lengths[0] if kind == "rays" else 0
     patterns = {
-        device: AttentionPattern(*(Segments.from_lengths(n, device) for n in (queries, lengths)), recurring=True)
+        device: AttentionPattern(*(Segments.from_lengths(n, device) for n in (queries, lengths)), equal_length=equal)
         for device in ("cpu", "cuda")
     }
     qkv = [t.bfloat16() for t in random_qkv(patterns["cpu"].queries, patterns["cpu"].keys, dim=dim)]
@@ -99,6 +101,35 @@ def test_a_training_step_is_that_of_the_cpu(variant):
     assert relative(rounded["loss"], expected["loss"]) < 1e-2
     rounded = torch.cat([rounded[name].flatten().cpu() for name in expected if name != "loss"])
     assert torch.cosine_similarity(rounded.double(), whole[0].double(), dim=0) > 0.98
+
+
+#: Scenes of one padded size.
+SIMILAR = [((14, 6, 1), (3, 9, 2, 1, 2)), ((9, 5, 6), (4, 7, 2, 2, 1))]
+
+
+@requires_gpu
+@pytest.mark.parametrize("compiled", [False, True], ids=["as written", "compiled"])
+@pytest.mark.parametrize("variant", ["paper", "renderformer"])
+def test_a_captured_step_is_the_plain_one(variant, compiled, in_process):
+    differences, graphs = in_process(captured_against_plain, VARIANTS[variant], SIMILAR, compiled)
+    assert graphs == 1
+    assert max(differences["losses"]) < 0.01
+    assert max(differences["gradients"]) < 0.05
+
+
+@requires_gpu
+def test_a_replayed_picture_is_the_plain_one():
+    torch.manual_seed(0)
+    net = network_on("cuda", *VARIANTS["paper"]).eval()
+    stages = CapturedStages(net)
+    batches = [batch_for(net, resolution=32, sizes=sizes[:1]) for sizes in SIMILAR]
+    assert batches[0].padded().shape == batches[1].padded().shape
+    with torch.inference_mode(), torch.autocast("cuda", torch.bfloat16):
+        for batch in (batches[0], *batches):  # without a graph, captured, and replayed for another scene
+            scenes = stages.encode(batch.padded().to("cuda"))
+            seen = [x.to("cuda") for x in (batch.c2w, batch.fov, batch.gbuffer)]
+            expected = net.view(net.encode(batch.to("cuda")), *seen)
+            assert relative(stages.view(scenes, *seen), expected) < 1e-2
 
 
 @requires_gpu
