@@ -7,8 +7,9 @@ from typing import Any, NamedTuple
 
 import torch
 from lightning.pytorch.utilities import rank_zero_info
-from torch import Tensor
+from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
+from torch.func import functional_call
 
 from rfpp.batch import RaggedBatch
 from rfpp.cuda_graphs import CudaGraph
@@ -45,7 +46,7 @@ class CapturedStep:
         batch = batch.normalized(exposure)
         if batch.shape not in self._graphs:
             begin = time.perf_counter()
-            self._graphs[batch.shape] = _StepGraph(network, loss, batch, exposure, self._memory(network, loss))
+            self._graphs[batch.shape] = _StepGraph(batch, exposure, self._memory(network, loss))
             rank_zero_info(
                 f"captured the step of {len(batch.positions):,} triangles in {len(batch.objects):,} objects "
                 f"in {time.perf_counter() - begin:.1f} s; it serves all batches of these padded sizes"
@@ -59,17 +60,30 @@ class CapturedStep:
     def _memory(self, network: RenderFormerPP, loss: RenderingLoss) -> _Memory:
         for graph in self._graphs.values():
             return graph.memory
-        trained = [p for p in (*network.parameters(), *loss.parameters()) if p.requires_grad]
-        gradients = torch.empty(sum(p.numel() for p in trained), device=trained[0].device)
-        return _Memory(torch.cuda.graph_pool_handle(), gradients, trained)
+        losses = _Losses(network, loss)
+        trained = {name: p for name, p in losses.named_parameters() if p.requires_grad}
+        gradients = torch.empty(sum(p.numel() for p in trained.values()), device=next(network.parameters()).device)
+        return _Memory(torch.cuda.graph_pool_handle(), gradients, losses, trained)
+
+
+class _Losses(nn.Module):
+    """The loss of a network as a module, whose parameters can be replaced (`torch.func.functional_call`)."""
+
+    def __init__(self, network: RenderFormerPP, loss: RenderingLoss):
+        super().__init__()
+        self.network, self.loss = network, loss
+
+    def forward(self, batch: RaggedBatch, exposure: Tensor) -> StepResult:
+        return _losses(self.loss, self.network.rendered(batch, exposure), batch)
 
 
 class _Memory(NamedTuple):
-    """Memory of all graphs, which are replayed one at a time and whose outputs are read before the next."""
+    """What all graphs share: they are replayed one at a time, and their outputs read before the next."""
 
     pool: tuple[int, int]
     gradients: Tensor
-    trained: list[Tensor]
+    losses: _Losses
+    trained: dict[str, nn.Parameter]
 
 
 class _StepGraph:
@@ -82,18 +96,19 @@ class _StepGraph:
         gradients: Their gradients of the last replay, flattened, one after the other.
     """
 
-    def __init__(
-        self, network: RenderFormerPP, loss: RenderingLoss, batch: RaggedBatch, exposure: Tensor, memory: _Memory
-    ):
-        self.memory, self.gradients, self.parameters = memory, memory.gradients, memory.trained
+    def __init__(self, batch: RaggedBatch, exposure: Tensor, memory: _Memory):
+        self.memory, self.gradients = memory, memory.gradients
         self.names: tuple[str, ...] = ()
+        self.parameters: list[nn.Parameter] = []
         self.tokens = 0
 
         def step(exposure: Tensor, *tensors: Tensor) -> Tensor:
-            rebuilt = batch.with_tensors(tensors)
-            terms, self.tokens = _losses(loss, network.rendered(rebuilt, exposure), rebuilt)
-            gradients = torch.autograd.grad(terms["loss"], memory.trained, allow_unused=True)
-            used = [(p, grad) for p, grad in zip(memory.trained, gradients, strict=True) if grad is not None]
+            # aliases, because autograd remembers the stream on which it first saw a parameter
+            aliases = {name: p.detach().requires_grad_() for name, p in memory.trained.items()}
+            inputs = batch.with_tensors(tensors), exposure
+            terms, self.tokens = functional_call(memory.losses, aliases, inputs)
+            gradients = torch.autograd.grad(terms["loss"], list(aliases.values()), allow_unused=True)
+            used = [(p, grad) for p, grad in zip(memory.trained.values(), gradients, strict=True) if grad is not None]
             self.names, self.parameters = tuple(terms), [p for p, _ in used]
             self.gradients = memory.gradients[: sum(p.numel() for p in self.parameters)]
             torch.cat([grad.flatten() for _, grad in used], out=self.gradients)

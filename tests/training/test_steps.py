@@ -7,6 +7,7 @@ from network_variants import VARIANTS, batch_for, loss
 from networks import network
 
 from rfpp.batch import common_size
+from rfpp.training import steps
 from rfpp.training.steps import PlainStep
 
 
@@ -53,3 +54,37 @@ def test_the_padding_is_in_its_own_scene_and_has_an_area():
     assert padded.material[sum(padded.objects.lengths[:real]) :].abs().sum() == 0
     assert padded.objects.longest >= max(padded.objects.lengths)
     assert np.log2(padded.objects.longest) % 1 == 0
+
+
+class Repeated:
+    """In place of a CUDA graph: a function that is called again."""
+
+    def __init__(self, function, inputs, pool):
+        self.function, self.pool = function, pool
+        function(*inputs)
+
+    def __call__(self, *inputs):
+        return self.function(*inputs)
+
+
+@pytest.mark.parametrize("variant", ["paper", "renderformer", "known_light"])
+def test_a_captured_step_gives_autograd_the_gradients_of_the_plain_one(variant, monkeypatch):
+    monkeypatch.setattr(steps, "CudaGraph", Repeated)
+    monkeypatch.setattr(torch.cuda, "graph_pool_handle", lambda: (0, 0))
+    torch.manual_seed(0)
+    net, captured = network(*VARIANTS[variant]).train(), steps.CapturedStep()
+    for sizes in (((14, 6, 1), (3, 9, 2, 1, 2)), ((13, 6, 2), (4, 7, 2, 2, 1))):
+        batch = batch_for(net, resolution=32, sizes=sizes)
+        expected = gradients(net, batch)
+        net.zero_grad()
+        terms, tokens = captured(net, loss(), batch.padded())
+        (0.5 * terms["loss"]).backward()
+        assert tokens >= 8 * len(batch.objects) or variant == "renderformer"
+        for name, term in terms.items():
+            assert float(term) == pytest.approx(float(expected[f"term {name}"]), rel=1e-4)
+        for name, p in net.named_parameters():
+            assert (p.grad is None) == (name not in expected)
+            if p.grad is not None:
+                difference = float((2 * p.grad - expected[name]).norm())
+                assert difference <= 1e-4 * float(expected[name].norm()) + 1e-7, name
+    assert len(captured._graphs) == 1
