@@ -31,7 +31,7 @@ from rfpp.training.blocks import compile_blocks
 from rfpp.training.callbacks.finite_gradients import NonFiniteGradientError
 from rfpp.training.checkpoint_files import checkpoint_to_resume, point_at
 from rfpp.training.module import RenderingModule
-from rfpp.training.plan import PLAN_KEY, choose_precision, is_captured, plan_training
+from rfpp.training.plan import PLAN_KEY, choose_acceleration, choose_precision, plan_training
 from rfpp.training.run import locked, shared_with_ranks, trainer_plugins
 from rfpp.training.steps import CapturedStep, PlainStep
 from rfpp.training.stopping import StoppedError, exit_early
@@ -61,12 +61,12 @@ def main(cfg: DictConfig) -> Path | None:
         load_initial_weights(network, cfg.initial_weights)
     checkpointing = instantiate(cfg.get("activation_checkpointing"))
     precision = choose_precision(cfg.trainer.precision, cfg.trainer.accelerator, resumed)
-    captured = is_captured(cfg.compile, cfg.trainer.accelerator, precision, checkpointing)
-    if captured:
+    acceleration = choose_acceleration(cfg.accelerate, cfg.trainer.accelerator, precision, checkpointing)
+    if acceleration == "compiled":
         compile_blocks(network)
     if checkpointing:
         checkpointing(network)
-    reads = {"gbuffer_channels": network.gbuffer_channels, "padded": captured}
+    reads = {"gbuffer_channels": network.gbuffer_channels, "padded": acceleration != "none"}
     datamodule = instantiate(cfg.datamodule, **reads, _convert_="all")
     plan = plan_training(cfg.trainer, precision, datamodule.batching.accumulation)
     config = OmegaConf.to_container(cfg, resolve=True) | {PLAN_KEY: asdict(plan)}
@@ -84,7 +84,7 @@ def main(cfg: DictConfig) -> Path | None:
         mlflow_tracking_uri=logger.tracking_uri,
     )
     parts = (instantiate(cfg[name]) for name in ("optimizer", "schedule"))
-    step = CapturedStep() if captured else PlainStep()
+    step = PlainStep() if acceleration == "none" else CapturedStep()
     module = RenderingModule(network, instantiate(cfg.loss), ImageMetrics(lpips=None), *parts, info, step)
     trainer = instantiate(cfg.trainer, _partial_=True)(  # in two steps: Hydra would treat the logger as a configuration
         logger=logger,

@@ -31,7 +31,7 @@ from rfpp.training.module import decay_groups
 from rfpp.training.steps import CapturedStep, PlainStep
 
 #: Columns that identify a row.
-IDENTITY = ("network", "size", "quantity", "captured", *Case.__dataclass_fields__)
+IDENTITY = ("network", "size", "quantity", "acceleration", *Case.__dataclass_fields__)
 
 _SEED = 0
 
@@ -63,7 +63,7 @@ def measure(
     card's published rate (MFU), `peak_GB` the maximum that tensors took.
 
     Args:
-        groups: Changes of the case, with `captured` (whether to use CUDA graphs) and `quantities`.
+        groups: Changes of the case, with `acceleration` (`rfpp.training.plan.ACCELERATIONS`) and `quantities`.
         seconds: Duration of the repetitions of a row.
         finished: Table whose rows are kept and not measured again.
 
@@ -79,19 +79,19 @@ def measure(
     done, total = 0, len(groups) * len(networks)
     for group in groups:
         sizes = {name: value for name, value in group.items() if name in Case.__dataclass_fields__}
-        this, captured = replace(case, **sizes), group.get("captured", True)
+        this, acceleration = replace(case, **sizes), group.get("acceleration", "graphs")
         for network in networks.values():
             progress(done, total)
             done += 1
-            identity = {"network": network.name, "size": size, "captured": str(captured).lower(), **vars(this)}
+            identity = {"network": network.name, "size": size, "acceleration": acceleration, **vars(this)}
             for quantity in group["quantities"]:
                 row = {**identity, "quantity": quantity}
                 if tuple(str(row[name]) for name in IDENTITY) not in known:
-                    yield row | _measured(network, this, quantity, captured, training, seconds)
+                    yield row | _measured(network, this, quantity, acceleration, training, seconds)
 
 
 def _measured(
-    untrained: Untrained, case: Case, quantity: str, captured: bool, training: TrainingParts, seconds: float
+    untrained: Untrained, case: Case, quantity: str, acceleration: str, training: TrainingParts, seconds: float
 ) -> Row:
     torch.cuda.empty_cache()
     torch.cuda.reset_peak_memory_stats()
@@ -101,11 +101,11 @@ def _measured(
     autocast = torch.autocast("cuda", torch.bfloat16)
     with autocast:
         flops = _flops(network, batch.to("cuda"), quantity)
-        batch = (batch.padded() if captured else batch).to("cuda")
+        batch = (batch if acceleration == "none" else batch.padded()).to("cuda")
         if quantity == "training_step":
-            run = _training_step(network, batch, training, captured)
+            run = _training_step(network, batch, training, acceleration)
         else:
-            run = _stage(network, batch, quantity, captured)
+            run = _stage(network, batch, quantity, acceleration)
         begin = time.perf_counter()
         try:
             for _ in range(3):
@@ -142,12 +142,12 @@ def _measured(
 
 
 def _training_step(
-    network: RenderFormerPP, batch: RaggedBatch, training: TrainingParts, captured: bool
+    network: RenderFormerPP, batch: RaggedBatch, training: TrainingParts, acceleration: str
 ) -> Callable[[], Any]:
     network.train()
     loss, optimizer = training.loss.to("cuda"), training.optimizer(decay_groups(network))
-    step = CapturedStep() if captured else PlainStep()
-    if captured:
+    step = PlainStep() if acceleration == "none" else CapturedStep()
+    if acceleration == "compiled":
         compile_blocks(network)
 
     def run() -> None:
@@ -160,9 +160,9 @@ def _training_step(
     return run
 
 
-def _stage(network: RenderFormerPP, batch: RaggedBatch, quantity: str, captured: bool) -> Callable[[], Any]:
+def _stage(network: RenderFormerPP, batch: RaggedBatch, quantity: str, acceleration: str) -> Callable[[], Any]:
     convert_blocks(network.eval(), torch.bfloat16)
-    stages = CapturedStages(network) if captured else network
+    stages = network if acceleration == "none" else CapturedStages(network)
     with torch.inference_mode():
         scenes = stages.encode(batch)
 

@@ -19,6 +19,8 @@ from rfpp.model.layers.matrix_precision import matrix_dtype
 
 #: The precision setting that picks the fastest precision of the device.
 AUTO = "auto"
+#: What makes a step faster on a GPU, see `choose_acceleration`.
+ACCELERATIONS = ("none", "graphs", "compiled")
 #: Section of a run's config.yaml that holds its plan.
 PLAN_KEY = "plan"
 
@@ -75,24 +77,26 @@ def choose_precision(setting: str, accelerator: str, resumed: Path | None) -> st
     return setting
 
 
-def is_captured(setting: str | bool, accelerator: str, precision: str, checkpointing: object) -> bool:
-    """Return whether blocks are compiled and steps captured as CUDA graphs.
+def choose_acceleration(setting: str, accelerator: str, precision: str, checkpointing: object) -> str:
+    """Return how steps are executed: "none", "graphs" (as CUDA graphs) or "compiled" (graphs of compiled blocks).
 
-    "auto" does so on a GPU in bfloat16. In float32, attention is planned on the host; activation checkpointing saves
-    random states, which waits for the GPU.
+    "auto" is "graphs" on a GPU in bfloat16. In float32, attention is planned on the host; activation checkpointing
+    saves random states, which waits for the GPU.
 
     Raises:
-        UserError: If the setting is neither true, false nor "auto", or true where it is impossible.
+        UserError: If the setting is unknown or impossible here.
     """
-    if setting not in (True, False, AUTO):
-        raise UserError(f"compile={setting}: choose from auto, true, false")
+    if setting not in (AUTO, *ACCELERATIONS):
+        raise UserError(f"accelerate={setting}: choose from {', '.join((AUTO, *ACCELERATIONS))}")
     possible = _device(accelerator).type == "cuda" and precision == "bf16-mixed" and not checkpointing
-    if setting is True and not possible:
+    if setting == AUTO:
+        return "graphs" if possible else "none"
+    if setting != "none" and not possible:
         raise UserError(
-            "compile=true needs a GPU, trainer.precision=bf16-mixed and activation_checkpointing=null: "
-            "choose compile=auto, which compiles where it can"
+            f"accelerate={setting} needs a GPU, trainer.precision=bf16-mixed and activation_checkpointing=null: "
+            "choose accelerate=auto, which does what is possible"
         )
-    return possible and bool(setting)
+    return setting
 
 
 def _devices_per_node(devices: Any) -> int:

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from rfpp.errors import UserError
-from rfpp.training.plan import choose_precision, plan_training
+from rfpp.training.plan import choose_acceleration, choose_precision, plan_training
 
 BFLOAT16, NONE = {"avx512_bf16": True}, {"avx512_f": True}
 TRAINER = {
@@ -59,3 +59,22 @@ def test_a_resumed_run_keeps_its_precision_on_any_machine(before, tmp_path, monk
 def test_a_change_of_precision_is_warned_of(tmp_path):
     with pytest.warns(UserWarning, match="was trained in 32-true and continues in trainer.precision=bf16-mixed"):
         assert choose_precision("bf16-mixed", "cpu", run_with(tmp_path, "32-true")) == "bf16-mixed"
+
+
+@pytest.mark.parametrize(
+    ("setting", "accelerator", "precision", "checkpointing", "expected"),
+    [("auto", "cuda", "bf16-mixed", None, "graphs"), ("auto", "cuda", "32-true", None, "none"),
+     ("auto", "cuda", "bf16-mixed", object(), "none"), ("auto", "cpu", "bf16-mixed", None, "none"),
+     ("compiled", "cuda", "bf16-mixed", None, "compiled"), ("none", "cuda", "bf16-mixed", None, "none")],
+)  # fmt: skip
+def test_steps_are_accelerated_where_they_can_be(setting, accelerator, precision, checkpointing, expected, monkeypatch):
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    assert choose_acceleration(setting, accelerator, precision, checkpointing) == expected
+
+
+@pytest.mark.parametrize("setting", ["graphs", "compiled"])
+def test_an_impossible_acceleration_is_refused(setting):
+    with pytest.raises(UserError, match=f"accelerate={setting} needs a GPU"):
+        choose_acceleration(setting, "cpu", "bf16-mixed", None)
+    with pytest.raises(UserError, match="accelerate=True: choose from auto, none, graphs, compiled"):
+        choose_acceleration(True, "cpu", "bf16-mixed", None)
