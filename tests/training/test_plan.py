@@ -76,5 +76,5 @@ def test_steps_are_accelerated_where_they_can_be(setting, accelerator, precision
 def test_an_impossible_acceleration_is_refused(setting):
     with pytest.raises(UserError, match=f"accelerate={setting} needs a GPU"):
         choose_acceleration(setting, "cpu", "bf16-mixed", None)
-    with pytest.raises(UserError, match="accelerate=True: choose from auto, none, graphs, compiled"):
-        choose_acceleration(True, "cpu", "bf16-mixed", None)
+    with pytest.raises(UserError, match="accelerate=yes: choose from auto, none, graphs, compiled"):
+        choose_acceleration("yes", "cpu", "bf16-mixed", None)
