@@ -43,9 +43,9 @@ class SceneViews:
     token_light: np.ndarray | None = None
 
 
-def common_size(count: int) -> int:
-    """Return `count` rounded up to one of eight sizes per power of two."""
-    step = 1 << max(0, count.bit_length() - 4)
+def common_size(count: int, per_octave: int = 8) -> int:
+    """Return `count` rounded up to one of eight sizes, or another power of two, between powers of two."""
+    step = 1 << max(0, count.bit_length() - per_octave.bit_length())
     return -(-count // step) * step
 
 
@@ -148,7 +148,12 @@ class RaggedBatch:
         texture = self.texture
         if texture is not None:
             texture = torch.cat([texture[:, :10], texture[:, 10:] / per_triangle[:, None, None, None]], dim=1)
-        return replace(self, material=material, texture=texture)
+        light = self.token_light
+        if light is not None:
+            light = (
+                light / exposure[self.scenes.index].repeat_interleave(len(light) // len(self.objects))[:, None, None]
+            )
+        return replace(self, material=material, texture=texture, token_light=light)
 
     def padded(self) -> RaggedBatch:
         """Return the batch with numbers of triangles and objects that recur from batch to batch.
@@ -157,7 +162,7 @@ class RaggedBatch:
         and gradients stay the same.
         """
         triangles, objects = len(self.positions), len(self.objects)
-        more = common_size(objects + (common_size(triangles) > triangles)) - objects
+        more = common_size(objects + (common_size(triangles) > triangles), per_octave=4) - objects
         new = common_size(triangles + more) - triangles if more else 0
         per_object = [new // more + (number < new % more) for number in range(more)]
         corners = torch.eye(3).expand(new, 3, 3)  # with an area, for means over objects

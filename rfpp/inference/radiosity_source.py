@@ -13,7 +13,7 @@ from rfpp.inference.plan import Plan
 from rfpp.radiosity.cell_finding import CellSources, cells_at
 from rfpp.radiosity.cell_places import CellPlaces, find_places
 from rfpp.radiosity.cell_tensors import row_of
-from rfpp.radiosity.cells import Cells
+from rfpp.radiosity.cells import CellMap, Cells
 from rfpp.radiosity.pixel_rays import SeenCells, see_cells
 from rfpp.radiosity.radiosity import Radiosity
 from rfpp.radiosity.view import View
@@ -55,11 +55,15 @@ class RadiositySource:
         places = self._places(triangles)
         return self._cache.get_or_compute(key, size, lambda: cells_at(places, self.gbuffers.lights(triangles, light)))
 
+    def cell_map(self, triangles: SceneTriangles) -> CellMap:
+        """Return the map from points of the scene to its cells."""
+        return self._places(triangles).map
+
     def seen(self, plan: Plan, view: int, light: str | None = None, traced: bool = False) -> SeenView:
         """Return a view's G-buffer and the cells that its pixels see; see `GBufferSource.gbuffer`."""
         scene = plan.scene
         gbuffer = self.gbuffers.gbuffer(scene, view, *plan.size, plan.light_samples, plan.points, light, traced)
-        lights, cell_map = self.gbuffers.lights(scene.triangles, light), self._places(scene.triangles).map
+        lights, cell_map = self.gbuffers.lights(scene.triangles, light), self.cell_map(scene.triangles)
         camera = scene.c2w[view], scene.fov[view]
         return SeenView(gbuffer, see_cells(gbuffer, *camera, lights, cell_map, plan.light_samples, traced=traced))
 

@@ -64,7 +64,7 @@ class PhysicsInformedTransport(nn.Module):
     Args:
         width: Token width D.
         layers: Self-attention blocks of the operator T.
-        iterations: K.
+        iterations: K; 0 leaves the operator out.
         frequencies: RSPE frequencies.
     """
 
@@ -77,7 +77,7 @@ class PhysicsInformedTransport(nn.Module):
 
     def forward(self, tokens: SceneTokens) -> Transported:
         # in training one more application, for the consistency loss of the last state
-        after, (_, states) = self.each(tokens, self.iterations + self.training)
+        after, (_, states) = self.each(tokens, self.iterations + (self.training and self.iterations > 0))
         return Transported(after[self.iterations], states[1:])
 
     def each(self, tokens: SceneTokens, count: int) -> tuple[list[SceneTokens], TransportStates]:

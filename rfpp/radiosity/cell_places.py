@@ -62,7 +62,7 @@ def find_places(triangles: SceneTriangles, caster: RayCaster) -> CellPlaces:
     """
     rng = np.random.default_rng(0)
     grid = CellGrid.over(triangles)
-    even = _even_points(triangles, grid, rng)
+    even = even_points(triangles, grid, rng)
     keys_of_points = even.keys(grid)
     keys = np.flatnonzero(np.bincount(keys_of_points))
     whole = np.searchsorted(keys, keys_of_points)
@@ -111,7 +111,7 @@ class SidePoints:
         return facing
 
 
-def _even_points(triangles: SceneTriangles, grid: CellGrid, rng: np.random.Generator) -> SidePoints:
+def even_points(triangles: SceneTriangles, grid: CellGrid, rng: np.random.Generator) -> SidePoints:
     """Return points spread evenly over both sides of every object."""
     corners = triangles.positions.astype(np.float64)
     area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=-1)

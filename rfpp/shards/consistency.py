@@ -38,6 +38,12 @@ def require_consistent_views(images: np.ndarray, gbuffers: Sequence[GBuffer], tr
             raise ValueError("a view refers to missing triangles")
 
 
+def require_consistent_light(token_light: np.ndarray, objects: int) -> None:
+    """Raise ValueError if the light of surfaces is not that of 8 octants of every object."""
+    if token_light.ndim != 4 or token_light.shape[:2] != (objects, 8) or token_light.shape[3] != 3:
+        raise ValueError(f"token_light has the shape {token_light.shape}, which is not that of {objects} objects")
+
+
 def require_half_range(image: np.ndarray, name: str) -> None:
     """Raise ShardError naming the image if a value is not finite or exceeds half precision."""
     if not np.isfinite(image).all():

@@ -14,6 +14,7 @@ import numpy as np
 from rfpp.errors import SceneError, UserError
 from rfpp.files import is_plain_name
 from rfpp.reference.cycles import CyclesSettings
+from rfpp.reference.labels import Labels, LabelSource
 from rfpp.scene.packed import poses
 from rfpp.scene.spec import Camera, Scene
 from rfpp.scene.triangles import SceneTriangles
@@ -113,11 +114,12 @@ class MadeScene:
 class SceneJob:
     """Makes samples; picklable, so that worker processes can run it.
 
-    A sample depends only on its task and these attributes; `render` has the signature of `cycles.render`.
+    A sample depends only on its task and these attributes; `render` has the signature of `cycles.render` and is used
+    with Cycles' settings.
     """
 
     family: SceneSource
-    reference: CyclesSettings
+    reference: CyclesSettings | LabelSource
     data: DatasetSettings
     fingerprint: str
     render: Callable[..., np.ndarray]
@@ -143,15 +145,22 @@ class SceneJob:
         }
         # each sample has its own noise: a pattern common to all images could be learned
         noise = self._seed(task.split, task.index, "render", attempt, self.reference.seed).generate_state(1)[0]
-        settings = dataclasses.replace(self.reference, seed=int(noise >> 1))  # Cycles' seeds have 31 bits
+        seed = int(noise >> 1)  # Cycles' seeds have 31 bits
+        seen = rays.triangles, c2w, fov
+        if isinstance(self.reference, CyclesSettings):
+            settings = dataclasses.replace(self.reference, seed=seed)
+            labels = Labels(self.render(*seen, resolution, resolution, settings))
+        else:
+            labels = self.reference.labels(task.split, *seen, resolution, seed)
         sample = SceneSample(
             key=task.key,
             triangles=rays.triangles,
             c2w=c2w,
             fov=fov,
-            images=self.render(rays.triangles, c2w, fov, resolution, resolution, settings),
+            images=labels.images,
             gbuffers=rays.gbuffers(c2w, fov, resolution, self.data.light_samples, light_seed),
             meta=meta,
+            token_light=labels.token_light,
         )
         return MadeScene.of(sample)
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from rfpp.errors import ShardError, UserError
 from rfpp.reference import cycles
+from rfpp.reference.labels import LabelSource
 from rfpp.shards.index import ShardIndex, index_file, to_json
 from rfpp.shards.job import SPLIT_CODES, DatasetSettings, MadeScene, SceneJob, SceneSource, SceneTask
 from rfpp.shards.sample import SCHEMA_VERSION
@@ -80,7 +81,7 @@ class Recipe:
     def of_scenes(
         cls,
         family: SceneSource,
-        reference: cycles.CyclesSettings,
+        reference: cycles.CyclesSettings | LabelSource,
         data: DatasetSettings,
         groups: Mapping[str, Any],
         render: Callable[..., np.ndarray] = cycles.render,

@@ -20,7 +20,12 @@ from rfpp.errors import ShardError
 from rfpp.imaging.exr import ImageFileError, decode_exr, encode_exr
 from rfpp.raycast.first_hit import CHANNELS, DIRECT_CHANNELS, DirectLight, GBuffer, Reflection
 from rfpp.scene.triangles import SceneTriangles
-from rfpp.shards.consistency import require_consistent_scene, require_consistent_views, require_half_range
+from rfpp.shards.consistency import (
+    require_consistent_light,
+    require_consistent_scene,
+    require_consistent_views,
+    require_half_range,
+)
 
 #: Raised whenever a member, a dtype or a meaning changes; data of another version is refused.
 SCHEMA_VERSION = 9
@@ -45,6 +50,7 @@ class SceneSample:
         images: [V, H, W, 3] float32 linear radiance; half-precision values once stored.
         gbuffers: V G-buffers; all include direct light and reflection when written.
         meta: JSON-able account of the scene's origin.
+        token_light: [O, 8, K + 1, 3] float32, see `rfpp.reference.labels.Labels`, or None.
     """
 
     key: str
@@ -54,6 +60,7 @@ class SceneSample:
     images: Float[np.ndarray, "v h w 3"]
     gbuffers: tuple[GBuffer, ...]
     meta: dict
+    token_light: Float[np.ndarray, "o 8 k 3"] | None = None
 
 
 def encode(sample: SceneSample) -> dict[str, bytes]:
@@ -68,6 +75,8 @@ def encode(sample: SceneSample) -> dict[str, bytes]:
         "material": _per_object_if_constant(sample.triangles),
         "object_offsets": sample.triangles.object_offsets.astype(np.int32),
     }
+    if sample.token_light is not None:
+        geometry["token_light"] = sample.token_light.astype(np.float16)
     cameras = {"c2w": sample.c2w.astype(np.float32), "fov": sample.fov.astype(np.float32)}
     meta = {**sample.meta, "schema_version": SCHEMA_VERSION, "objects": list(sample.triangles.object_names)}
     meta["one_sided"] = sorted(sample.triangles.one_sided)
@@ -134,7 +143,11 @@ def decode(
         images = np.stack([layers(_IMAGE, view)["RGB"] for view in views]).astype(np.float32)
         gbuffers = tuple(_gbuffer(partial(layers, view=view), channels) for view in views)
         require_consistent_views(images, gbuffers, len(triangles))
-        return SceneSample(key, triangles, cameras["c2w"][views], cameras["fov"][views], images, gbuffers, meta)
+        light = geometry.get("token_light")
+        if light is not None:
+            require_consistent_light(light, triangles.num_objects)
+            light = light.astype(np.float32)
+        return SceneSample(key, triangles, cameras["c2w"][views], cameras["fov"][views], images, gbuffers, meta, light)
     except KeyError as error:
         raise ShardError(f"{key}: {error} is missing from the sample: generate its shard again") from error
     except (SafetensorError, ImageFileError, ValueError, TypeError, IndexError, RecursionError) as error:

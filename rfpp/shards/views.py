@@ -24,6 +24,7 @@ def select_views(sample: SceneSample, views: Sequence[int], channels: Sequence[s
         fov=sample.fov[chosen],
         gbuffer=np.stack(gbuffer),
         image=np.ascontiguousarray(sample.images[chosen].transpose(0, 3, 1, 2)),
+        token_light=sample.token_light,
     )
 
 

@@ -66,7 +66,7 @@ class RenderingModule(L.LightningModule):
         return {"radiance": radiance}
 
     def configure_optimizers(self) -> dict[str, Any]:
-        optimizer = self._optimizer(decay_groups(self.network))
+        optimizer = self._optimizer(decay_groups(nn.ModuleList([self.network, self.loss])))
         return {"optimizer": optimizer, "lr_scheduler": {"scheduler": self._schedule(optimizer), "interval": "step"}}
 
     def configure_gradient_clipping(
@@ -76,7 +76,8 @@ class RenderingModule(L.LightningModule):
 
         Lightning's implementation rejects fused optimizers, because of a gradient scaler that bfloat16 does not need.
         """
-        norm = torch.nn.utils.clip_grad_norm_(self.network.parameters(), gradient_clip_val or float("inf"))
+        trained = (*self.network.parameters(), *self.loss.parameters())
+        norm = torch.nn.utils.clip_grad_norm_(trained, gradient_clip_val or float("inf"))
         self.log("train/gradient_norm", norm)
 
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
