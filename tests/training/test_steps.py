@@ -32,7 +32,7 @@ def test_a_padded_batch_has_the_same_losses_and_gradients(variant, sizes):
     batch = batch_for(net, resolution=32, sizes=sizes)
     padded = batch.padded()
     assert len(padded.scenes) == len(batch.scenes) + 1
-    assert (len(padded.positions), len(padded.objects)) == ((40, 9) if len(sizes[1]) == 5 else (36, 7))
+    assert (len(padded.positions), len(padded.objects)) == ((40, 10) if len(sizes[1]) == 5 else (36, 7))
     expected = gradients(net, batch)
     for found in (gradients(net, padded), gradients(net, as_on_a_gpu(padded))):
         assert found.keys() == expected.keys()
@@ -43,6 +43,7 @@ def test_a_padded_batch_has_the_same_losses_and_gradients(variant, sizes):
 def test_padded_sizes_recur():
     sizes = {common_size(n) for n in range(1024, 2048)}
     assert len(sizes) == 9
+    assert len({common_size(n, 4) for n in range(64, 128)}) == 5
     assert all(n <= common_size(n) <= 1.125 * n for n in range(1, 5000))
 
 
