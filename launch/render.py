@@ -172,7 +172,7 @@ def cycles_settings(chosen: RenderSettings, against: str | None) -> CyclesSettin
         if against:
             raise UserError(f"against={against}: needs a reference to compare with: add reference=true")
         return None
-    preset = settings("reference", "reference_settings", chosen.reference_settings)
+    preset = settings("reference", "reference_settings", chosen.reference_settings, without=["radiosity"])
     require_blender()
     flip_library()
     return instantiate(preset)

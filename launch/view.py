@@ -37,7 +37,7 @@ def main(cfg: DictConfig) -> None:
         renderer,
         load_scene(cfg.scene),
         TONE_MAPS,
-        instantiate(settings("reference", "reference_settings", cfg.reference_settings)),
+        instantiate(settings("reference", "reference_settings", cfg.reference_settings, without=["radiosity"])),
         host=cfg.host,
         port=cfg.port,
         longer_side=cfg.resolution or max(renderer.info.resolution),

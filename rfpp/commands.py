@@ -7,7 +7,7 @@ import functools
 import os
 import sys
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NoReturn, TypeVar
 
@@ -112,13 +112,16 @@ def required(cfg: DictConfig, key: str) -> Any:
     return cfg[key]
 
 
-def settings(group: str, key: str, name: str) -> DictConfig:
+def settings(group: str, key: str, name: str, without: Collection[str] = ()) -> DictConfig:
     """Load conf/<group>/<name>.yaml with its defaults, for a key of the command line that holds such a name.
+
+    Args:
+        without: Names that are no choice here.
 
     Raises:
         UserError: If there is no such file; lists the names.
     """
-    files = {file.stem: file for file in sorted((CONFIG_DIR / group).glob("*.yaml"))}
+    files = {file.stem: file for file in sorted((CONFIG_DIR / group).glob("*.yaml")) if file.stem not in without}
     if name not in files:
         raise UserError(f"{key}={name}: choose from {', '.join(files)}")
     chosen = OmegaConf.load(files[name])
