@@ -98,9 +98,8 @@ def _measured(
     torch.manual_seed(_SEED)
     network = untrained("cuda")
     batch = case.batch(network.gbuffer_channels, _SEED)
-    autocast = torch.autocast("cuda", torch.bfloat16)
-    with autocast:
-        flops = _flops(network, batch.to("cuda"), quantity)
+    flops = _flops(untrained("meta"), batch.to("meta"), quantity)
+    with torch.autocast("cuda", torch.bfloat16):
         batch = (batch if acceleration == "none" else batch.padded()).to("cuda")
         if quantity == "training_step":
             run = _training_step(network, batch, training, acceleration)

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from rfpp.benchmark.cost.measuring import COLUMNS
 from rfpp.benchmark.csv_rows import command, read_rows
+from rfpp.benchmark.gpu import IDENTITY
 from rfpp.errors import UserError
 
 #: Compared networks, the baseline first.
@@ -18,26 +18,25 @@ _HEADER = "| bf16, one view | triangles | pixels | RenderFormer | RenderFormer++
 #: Measured quantities in the order of the table.
 _NAMES = {
     "training_step": "training step",
-    "render": "render",
-    "checkpointed_training_step": "training step, blocks recomputed",
-    "least_memory_training_step": "training step, least memory",
+    "encode": "encoding",
+    "view": "view",
 }
 #: Columns that two rows must share to be compared.
 _SHARED = (
-    "quantity", "triangles", "objects", "views", "resolution", "scenes", "compiled", "hardware", "torch", "commit"
+    "quantity", "size", "triangles", "objects", "views", "resolution", "scenes", "acceleration", "hardware", "torch",
+    "commit",
 )  # fmt: skip
 
 Rows = Sequence[dict[str, str]]
 
 
 def table(rows: Rows) -> str:
-    """Return a Markdown table for each GPU, PyTorch version and commit, with the largest network of each name.
+    """Return a Markdown table for each GPU, PyTorch version and commit.
 
     Raises:
         UserError: If no case was measured with both networks.
     """
-    by_size = sorted(rows, key=lambda row: int(row["parameters"]))  # the largest network of each name comes last
-    by_network = [{tuple(row[c] for c in _SHARED): row for row in by_size if row["network"] == n} for n in NETWORKS]
+    by_network = [{tuple(row[c] for c in _SHARED): row for row in rows if row["network"] == n} for n in NETWORKS]
     pairs = [(row, by_network[1][key]) for key, row in by_network[0].items() if key in by_network[1]]
     pairs = [(baseline, ours) for baseline, ours in pairs if baseline["quantity"] in _NAMES]
     if not pairs:
@@ -52,7 +51,7 @@ def table(rows: Rows) -> str:
 
 
 def _line(baseline: dict[str, str], ours: dict[str, str]) -> str:
-    name = _NAMES[ours["quantity"]] + (", compiled" if ours["compiled"] == "true" else "")
+    name = f"{_NAMES[ours['quantity']]}, {ours['size']}" + (", plain" if ours["acceleration"] == "none" else "")
     speed = memory = ""
     if baseline["seconds"] and ours["seconds"]:
         speed = f"{float(baseline['seconds']) / float(ours['seconds']):.1f} ×"
@@ -71,7 +70,7 @@ def _cell(row: dict[str, str]) -> str:
 
 def main(arguments: Sequence[str] | None = None) -> str:
     """Run the command of the module's docstring."""
-    columns = COLUMNS | {*_SHARED, "parameters"}
+    columns = {*IDENTITY, *_SHARED, "seconds", "peak_GB", "status", "parameters"}
     return command("gpu", __doc__, lambda path: table(read_rows(path, "gpu", columns)), arguments)
 
 

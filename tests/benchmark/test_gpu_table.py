@@ -2,8 +2,8 @@
 
 import pytest
 
-from rfpp.benchmark.cost.measuring import COLUMNS
 from rfpp.benchmark.csv_rows import read_rows
+from rfpp.benchmark.gpu import IDENTITY
 from rfpp.benchmark.gpu_table import main, table
 from rfpp.commands import CONFIG_DIR
 from rfpp.errors import UserError
@@ -13,8 +13,8 @@ COMMITTED = CONFIG_DIR.parent / "data" / "results" / "gpu.csv"
 
 def row(network, seconds, memory, **changes):
     return {
-        "quantity": "training_step", "compiled": "false", "triangles": "1000", "objects": "5", "views": "1",
-        "resolution": "64", "scenes": "1", "network": network, "parameters": "100", "seconds": seconds,
+        "quantity": "training_step", "acceleration": "graphs", "size": "base", "triangles": "1000", "objects": "5",
+        "views": "1", "resolution": "64", "scenes": "1", "network": network, "seconds": seconds,
         "peak_GB": memory, "status": "ok" if seconds else "out of memory", "hardware": "a card", "torch": "2",
         "commit": "c0ffee",
     } | changes  # fmt: skip
@@ -25,7 +25,7 @@ BASELINE, OURS = row("RenderFormer", "0.3", "10"), row("RenderFormer++", "0.1", 
 
 def test_both_networks_share_a_line_with_their_ratios():
     markdown = table([BASELINE, OURS])
-    assert "| training step | 1,000 | 64² | 300 ms, 10.0 GB | 100 ms, 4.0 GB | 3.0 × | −60% |" in markdown
+    assert "| training step, base | 1,000 | 64² | 300 ms, 10.0 GB | 100 ms, 4.0 GB | 3.0 × | −60% |" in markdown
     assert "a card" in markdown and "c0ffee" in markdown
 
 
@@ -46,8 +46,8 @@ def test_different_cards_are_not_compared():
 
 
 def test_the_command_prints_the_table_of_the_committed_rows(capsys):
-    rows = read_rows(COMMITTED, "gpu", COLUMNS)
+    rows = read_rows(COMMITTED, "gpu", {*IDENTITY})
     assert all(float(r["of_peak"]) < 1 for r in rows if r["of_peak"])
     markdown = main([str(COMMITTED)])
     assert capsys.readouterr().out == f"{markdown}\n"
-    assert "| training step | 25,600 | 256² |" in markdown
+    assert "| training step, base | 25,600 | 256² |" in markdown

@@ -88,6 +88,34 @@ def test_rendering_never_waits_for_the_device_before_the_image_is_there(variant)
         assert copies.waited_for == []
 
 
+def test_what_a_graph_captures_neither_copies_nor_asks_for_lengths(variant):
+    with fake_gpu() as copies:
+        net = network_on(GPU, *variant).train()
+        padded = batch_for(net).padded().to(GPU, non_blocking=True)
+        exposure = net.exposure(padded)
+        batch = padded.normalized(exposure)
+        captured = batch.with_tensors(batch.tensors())
+        copies.made.clear()
+        made = net.rendered(captured, exposure)
+        terms = loss()(made.log_radiance, made.transport_states, captured.image, made.token_segments)
+        assert terms["loss"].device == GPU
+        assert copies.made == []
+
+
+#: Kernels of a picture: encoding and one view of two scenes. A change that launches more has to say why.
+MOST_KERNELS = {"paper": 1950, "renderformer": 1400}
+
+
+@pytest.mark.parametrize("name", MOST_KERNELS)
+def test_a_picture_launches_no_more_kernels_than_before(name):
+    with fake_gpu() as copies:
+        net = network_on(GPU, *VARIANTS[name]).eval()
+        batch = batch_for(net).padded().to(GPU, non_blocking=True)
+        copies.kernels = 0
+        net.view(net.encode(batch), batch.c2w, batch.fov, batch.gbuffer)
+        assert copies.kernels <= MOST_KERNELS[name]
+
+
 @pytest.mark.parametrize("name", WITH_OBJECTS)
 def test_what_a_renderer_encodes_of_a_scene_on_the_host_is_on_the_device(name, monkeypatch):
     """Objects one by one and kept, their light beside them; their keys would need values."""

@@ -30,16 +30,20 @@ def fake_gpu(autocast: bool = True) -> Iterator[Copies]:
 
 
 class Copies(TorchDispatchMode):
-    """Remembers copies between host and GPU that a program waits for."""
+    """Remembers copies between host and GPU, those that a program waits for, and the number of kernels."""
 
     def __init__(self) -> None:
         super().__init__()
+        self.made: list[str] = []
         self.waited_for: list[str] = []
+        self.kernels = 0
 
     def __torch_dispatch__(self, func, types, args=(), kwargs=None):
         kwargs = kwargs or {}
         out = func(*args, **kwargs)
+        self.kernels += not func.is_view
         if func is torch.ops.aten._to_copy.default and args[0].device != out.device:
+            self.made.append(f"{args[0].device} → {out.device} {list(out.shape)}")
             from_host = out.is_cuda and kwargs.get("non_blocking")
             if not from_host:
                 self.waited_for.append(f"{args[0].device} → {out.device} {list(out.shape)}")

@@ -123,9 +123,8 @@ def test_groups_are_products_with_each_point_once():
     assert points([{}, {"scenes": [1]}], CASE, ["x"], ["a"]) == [Point("x", ("a",), False, CASE)]
 
 
-@pytest.mark.parametrize("name", ["cost", "gpu"])
-def test_networks_and_training_are_those_of_the_experiments(name):
-    cfg = config("benchmark.setting.device=cpu", benchmark=name)
+def test_networks_and_training_are_those_of_the_experiments():
+    cfg = config("benchmark.setting.device=cpu")
     benchmark = OmegaConf.to_container(cfg, resolve=True)["benchmark"]
     with initialize_config_dir(str(CONFIG_DIR), version_base="1.3"):
         train = compose("train", overrides=["run_dir=unused", "experiment=large_scale"])
