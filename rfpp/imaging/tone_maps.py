@@ -54,6 +54,25 @@ class Perceptual(ToneMap):
         return perceptual(radiance)
 
 
+class Neutral(ToneMap):
+    """Khronos PBR Neutral 1.0: base colors stay as they are, and only highlights are compressed and desaturated.
+
+    The reflection of a dielectric at normal incidence, 4%, is subtracted; what is then at most 0.76 has the sRGB curve
+    alone (https://github.com/KhronosGroup/ToneMapping/tree/main/PBR_Neutral).
+    """
+
+    _F90, _START, _DESATURATION = 0.04, 0.76, 0.15
+
+    def display(self, radiance: Float[Tensor, "h w 3"]) -> Float[Tensor, "h w 3"]:
+        least = radiance.amin(dim=-1, keepdim=True)
+        color = radiance - torch.where(least <= 2 * self._F90, least - least.square() / (4 * self._F90), self._F90)
+        peak, headroom = color.amax(dim=-1, keepdim=True), 1 - self._START
+        compressed = 1 - headroom**2 / (peak.clamp_min(self._START) + headroom - self._START)
+        white = 1 - 1 / (self._DESATURATION * (peak - compressed) + 1)
+        highlight = torch.lerp(color * (compressed / peak.clamp_min(self._START)), compressed, white)
+        return srgb(torch.where(peak <= self._START, color, highlight))
+
+
 class AgX(ToneMap):
     """AgX by Troy Sobotka (https://github.com/sobotka/AgX), without a look: 16.5 stops on a film-like curve.
 
@@ -92,7 +111,7 @@ class AgX(ToneMap):
 
 
 #: Tone maps by name on the command line; the first is the default.
-TONE_MAPS: dict[str, type[ToneMap]] = {"srgb": SRGB, "perceptual": Perceptual, "agx": AgX}
+TONE_MAPS: dict[str, type[ToneMap]] = {"srgb": SRGB, "perceptual": Perceptual, "neutral": Neutral, "agx": AgX}
 
 
 def tone_map_of(name: str, stops: float | int) -> ToneMap:

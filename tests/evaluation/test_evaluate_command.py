@@ -14,7 +14,7 @@ from launch.evaluate import main
 from rfpp.checkpoint.loading import CHECKPOINT_KEY, NETWORK_PREFIX
 from rfpp.checkpoint.network_building import build
 from rfpp.commands import CONFIG_DIR
-from rfpp.evaluation.measuring.evaluation_file import Evaluation
+from rfpp.evaluation.measuring.evaluation_file import read_evaluations
 from rfpp.shards.manifest import Manifest
 
 
@@ -57,7 +57,7 @@ def test_writes_tables_and_panels_into_the_run(compose_evaluation, make_checkpoi
     written = {path.name for path in folder.iterdir()}
     tables = {"images.csv", "scenes.csv", "summary.csv", "evaluation.json"}
     assert written == {*tables, "test.png", "report.html", "config.yaml"}
-    assert Evaluation.read(folder / "evaluation.json") == evaluation
+    assert read_evaluations([folder]) == [evaluation]
     assert (evaluation.method, evaluation.seed, evaluation.data) == ("RenderFormer++ w/o TCL", 3, "known")
     psnr = evaluation.means["test", "model"]["psnr"]
     assert psnr.scenes == 3

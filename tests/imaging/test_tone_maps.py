@@ -5,9 +5,10 @@ import pytest
 import torch
 
 from rfpp.errors import UserError
-from rfpp.imaging.tone_maps import SRGB, AgX, Perceptual, tone_map_of
+from rfpp.imaging.radiance import srgb
+from rfpp.imaging.tone_maps import SRGB, AgX, Neutral, Perceptual, tone_map_of
 
-ALL = (SRGB, Perceptual, AgX)
+ALL = (SRGB, Perceptual, Neutral, AgX)
 
 
 def grays(*values: float) -> np.ndarray:
@@ -45,6 +46,19 @@ def test_any_memory_layout_and_broken_pixels(kind):
     assert kind()(image)[0, 0].any()
 
 
+def test_neutral_keeps_colors_below_its_threshold_but_for_the_reflection_it_subtracts():
+    kept = torch.rand((20, 20, 3), generator=torch.Generator().manual_seed(0)) * 0.72 + 0.08
+    torch.testing.assert_close(Neutral().display(kept), srgb(kept - 0.04))
+
+
+def test_neutral_is_smooth_where_compression_begins_and_keeps_hue_beyond():
+    below, above = (Neutral().display(color(x, x, x)) for x in (0.79999, 0.80001))
+    torch.testing.assert_close(below, above, atol=1e-4, rtol=0)
+    red, green, blue = Neutral().display(color(6.0, 2.0, 1.0)).flatten().tolist()
+    assert 1 > red > green > blue > 0
+    assert Neutral().display(color(600.0, 2.0, 1.0)).min() > 0.9, "very bright colors become white"
+
+
 def test_agx_maps_middle_gray_to_half_and_its_range_to_the_full_signal():
     assert AgX()(grays(0.18))[0, 0, 0] in (127, 128)
     assert AgX()(grays(0.18 * 2.0**-10.5, 0.18 * 2.0**6.5))[0, :, 0].tolist() == [0, 255]
@@ -76,5 +90,5 @@ def test_each_has_a_name(kind):
 
 
 def test_an_unknown_name_is_one_clear_error():
-    with pytest.raises(UserError, match="tone_map=neutral does not exist: choose from srgb, perceptual, agx"):
-        tone_map_of("neutral", stops=0)
+    with pytest.raises(UserError, match="tone_map=filmic does not exist: choose from srgb, perceptual, neutral, agx"):
+        tone_map_of("filmic", stops=0)

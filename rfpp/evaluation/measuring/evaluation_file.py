@@ -73,22 +73,19 @@ class Evaluation:
         )
 
     @classmethod
-    def read(cls, path: Path) -> Evaluation:
-        """Read evaluation.json.
+    def of_json(cls, content: Any, path: Path) -> Evaluation:
+        """Return the evaluation that `to_json` described in a file.
 
         Raises:
-            UserError: If the file is missing, unreadable or not an evaluation, or a metric has changed since.
+            UserError: If it is not an evaluation, or a metric has changed since.
         """
         try:
-            content = json.loads(path.read_bytes())
             means = {
                 (split, predictor): {name: _estimate(numbers) for name, numbers in values.items()}
-                for split, predictors in content.pop("splits").items()
+                for split, predictors in content["splits"].items()
                 for predictor, values in predictors.items()
             }
-            evaluation = cls(**content, means=means)
-        except OSError as error:
-            raise UserError(f"{path}: cannot be read ({error.strerror}): correct the path") from None
+            evaluation = cls(**{key: value for key, value in content.items() if key != "splits"}, means=means)
         except (ValueError, KeyError, TypeError, AttributeError) as error:
             raise UserError(f"{path}: not an evaluation ({error!r}): make it again with launch/evaluate.py") from None
         for name, definition in evaluation.definitions.items():
@@ -96,13 +93,32 @@ class Evaluation:
                 raise UserError(f"{path}: the definition of '{name}' has changed: evaluate again")
         return evaluation
 
-    def write(self, folder: Path) -> Path:
-        """Write evaluation.json into `folder`; return its path."""
+    def to_json(self) -> dict[str, Any]:
+        """Return the evaluation as JSON values."""
         splits: dict[str, dict[str, Any]] = defaultdict(dict)
         for (split, predictor), values in self.means.items():
             splits[split][predictor] = {name: _numbers(estimate) for name, estimate in values.items()}
-        content = {key: value for key, value in asdict(self).items() if key != "means"} | {"splits": splits}
-        return write_atomically(folder / EVALUATION_FILE, json.dumps(content, indent=1, allow_nan=False).encode())
+        return {key: value for key, value in asdict(self).items() if key != "means"} | {"splits": splits}
+
+    def write(self, folder: Path) -> Path:
+        """Write evaluation.json into `folder`; return its path."""
+        return write_atomically(folder / EVALUATION_FILE, _to_bytes(self.to_json()))
+
+
+def write_evaluations(evaluations: Sequence[Evaluation], path: Path) -> Path:
+    """Write several evaluations into one file, which `read_evaluations` reads; return its path."""
+    return write_atomically(path, _to_bytes([evaluation.to_json() for evaluation in evaluations]))
+
+
+def _read(path: Path) -> list[Evaluation]:
+    """Read a file of one or several evaluations. Raises UserError if it is missing or not such a file."""
+    try:
+        content = json.loads(path.read_bytes())
+    except OSError as error:
+        raise UserError(f"{path}: cannot be read ({error.strerror}): correct the path") from None
+    except ValueError as error:
+        raise UserError(f"{path}: not an evaluation ({error!r}): make it again with launch/evaluate.py") from None
+    return [Evaluation.of_json(one, path) for one in (content if isinstance(content, list) and content else [content])]
 
 
 def read_evaluations(paths: Iterable[Path]) -> list[Evaluation]:
@@ -121,8 +137,8 @@ def read_evaluations(paths: Iterable[Path]) -> list[Evaluation]:
         if not files:
             raise UserError(f"{path}: no {EVALUATION_FILE} in this folder: make one with launch/evaluate.py")
         for file in files:
-            evaluation = Evaluation.read(file)
-            found.setdefault(repr(evaluation), (file, evaluation))
+            for evaluation in _read(file):
+                found.setdefault(repr(evaluation), (file, evaluation))
     known: dict[str, tuple[Path, object]] = {}
     for file, e in found.values():
         network = f"{e.method} (trained on {e.trained_on}, {e.steps} steps, seed {e.seed}, commit {e.commit})"
@@ -131,6 +147,10 @@ def read_evaluations(paths: Iterable[Path]) -> list[Evaluation]:
             if value != first:
                 raise UserError(f"{file}: {what} differs from the one in {other}: omit one of the two files")
     return [evaluation for _, evaluation in found.values()]
+
+
+def _to_bytes(content: Any) -> bytes:
+    return json.dumps(content, indent=1, allow_nan=False).encode()
 
 
 def _numbers(estimate: Estimate) -> dict[str, float | str]:

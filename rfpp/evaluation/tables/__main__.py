@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from rfpp.errors import UserError
-from rfpp.evaluation.measuring.evaluation_file import EVALUATION_FILE, read_evaluations
+from rfpp.evaluation.measuring.evaluation_file import EVALUATION_FILE, read_evaluations, write_evaluations
 from rfpp.evaluation.tables.files import write_table
 from rfpp.evaluation.tables.paper import TABLE_1, TABLE_2
 from rfpp.evaluation.tables.rows import ResultTable, other_table, paper_table
@@ -19,7 +19,7 @@ from rfpp.evaluation.tables.rows import ResultTable, other_table, paper_table
 TABLES = Path("data/results/tables")
 
 DESCRIPTION = f"""\
-Find every {EVALUATION_FILE} in the given paths and write, each as .md and .csv:
+Find every {EVALUATION_FILE} in the given paths and write, each as .md, .tex and .csv:
   table1, table2   every row of the paper, its number beside ours or "not run"
   others           evaluations that do not belong in either of them, if any"""
 EXAMPLE = "example: python -m rfpp.evaluation.tables data/runs/*/*/evaluation"
@@ -44,8 +44,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
     )
     parser.add_argument("paths", nargs="+", type=Path, metavar="PATH", help=f"a folder, or an {EVALUATION_FILE}")
     parser.add_argument("--output", default=TABLES, type=Path, metavar="FOLDER", help=f"output folder ({TABLES})")
+    parser.add_argument(
+        "--collect", type=Path, metavar="FILE", help="also write all evaluations into one file, which is a PATH"
+    )
     chosen = parser.parse_args(arguments)
     try:
+        if chosen.collect is not None:
+            print(write_evaluations(read_evaluations(chosen.paths), chosen.collect))
         for table in result_tables(chosen.paths):
             print(*write_table(table, chosen.output), sep="\n")
     except UserError as error:

@@ -1,4 +1,4 @@
-"""Write a table of results as Markdown and CSV."""
+"""Write a table of results as Markdown, LaTeX and CSV."""
 
 from __future__ import annotations
 
@@ -15,6 +15,13 @@ from rfpp.files import write_atomically
 from rfpp.metrics.image import METRICS
 
 _ESCAPED = str.maketrans({character: f"\\{character}" for character in "\\*_|<[]"})
+_LATEX = str.maketrans(
+    {
+        **{character: f"\\{character}" for character in "&%$#_{}"}, "\\": r"\textbackslash{}",
+        "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "|": r"\textbar{}", "<": r"\textless{}",
+        ">": r"\textgreater{}", "↓": r"$\downarrow$", "↑": r"$\uparrow$", "≥": r"$\geq$", "±": r"$\pm$", "–": "--",
+    }
+)  # fmt: skip
 _NOTES = (
     "95% interval: percentile bootstrap over scenes. A mean over splits or data sets gives each the same weight, and "
     "joins intervals in quadrature. Intervals are averaged over seeds, which share their scenes. sd: standard "
@@ -24,24 +31,52 @@ _NOTES = (
 
 
 def write_table(table: ResultTable, folder: Path) -> list[Path]:
-    """Write `<name>.md` and `<name>.csv` into `folder`; return their paths."""
-    text = write_atomically(folder / f"{table.name}.md", markdown(table).encode())
-    return [text, write_rows(folder / f"{table.name}.csv", list(csv_rows(table)))]
+    """Write `<name>.md`, `<name>.tex` and `<name>.csv` into `folder`; return their paths."""
+    texts = {"md": markdown(table), "tex": latex(table)}
+    written = [write_atomically(folder / f"{table.name}.{end}", text.encode()) for end, text in texts.items()]
+    return [*written, write_rows(folder / f"{table.name}.csv", list(csv_rows(table)))]
 
 
 def markdown(table: ResultTable) -> str:
     """Format a table as GitHub Markdown: the paper's numbers, ours, their intervals and their spread over seeds."""
+    headings, blocks, notes = _cells(table)
+    lines = [["Method", "", *headings]]
+    for heading, rows in blocks:
+        lines.append([f"**{heading}**", *[""] * (len(headings) + 1)])
+        lines += [[cell.translate(_ESCAPED) for cell in row] for row in rows]
+    text = [f"| {' | '.join(line)} |" for line in lines]
+    text.insert(1, f"|{'---|' * 2}{'---:|' * len(headings)}")
+    return "\n".join([f"## {table.title}", "", *text, "", *(f"- {note.translate(_ESCAPED)}" for note in notes), ""])
+
+
+def latex(table: ResultTable) -> str:
+    r"""Format a table for \input in a paper; it needs the packages booktabs and graphicx."""
+    headings, blocks, notes = _cells(table)
+
+    def line(cells: Sequence[str]) -> str:
+        return f"{' & '.join(cell.translate(_LATEX) for cell in cells)} \\\\"
+
+    body = [line(["Method", "", *headings])]
+    for heading, rows in blocks:
+        title = rf"\multicolumn{{{len(headings) + 2}}}{{l}}{{\textit{{{heading.translate(_LATEX)}}}}} \\"
+        body += [r"\midrule", title, *map(line, rows)]
+    begin = [r"\begin{table*}[t]", r"\centering", rf"\caption{{{table.title.translate(_LATEX)}}}"]
+    columns = rf"\resizebox{{\textwidth}}{{!}}{{\begin{{tabular}}{{ll{'r' * len(headings)}}}"
+    end = [r"\bottomrule", r"\end{tabular}}", r"\par\smallskip\footnotesize\raggedright"]
+    texts = [rf"{note.translate(_LATEX)}\par" for note in notes]
+    return "\n".join([*begin, columns, r"\toprule", *body, *end, *texts, r"\end{table*}", ""])
+
+
+def _cells(table: ResultTable) -> tuple[list[str], list[tuple[str, list[list[str]]]], list[str]]:
+    """Return the headings of the numbers, the lines of each block, and the notes."""
     columns = [(group, name) for group in range(len(table.groups)) for name in table.metrics]
     headings = [f"{heading}: {METRICS[name].heading}" for heading in table.groups for name in table.metrics]
     notes: list[str] = []
-    lines = [["Method", "", *headings]]
-    for heading, rows in table.blocks:
-        lines.append([f"**{heading}**", *[""] * (len(columns) + 1)])
-        lines += [[cell.translate(_ESCAPED) for cell in line] for row in rows for line in _lines(row, columns, notes)]
-    text = [f"| {' | '.join(line)} |" for line in lines]
-    text.insert(1, f"|{'---|' * 2}{'---:|' * len(columns)}")
-    notes += [*_NOTES, *(f"{METRICS[name].label}: {METRICS[name].definition}." for name in table.metrics)]
-    return "\n".join([f"## {table.title}", "", *text, "", *(f"- {note.translate(_ESCAPED)}" for note in notes), ""])
+    blocks = [
+        (heading, [line for row in rows for line in _lines(row, columns, notes)]) for heading, rows in table.blocks
+    ]
+    definitions = (f"{METRICS[name].label}: {METRICS[name].definition}." for name in table.metrics)
+    return headings, blocks, [*notes, *_NOTES, *definitions]
 
 
 def csv_rows(table: ResultTable) -> Iterator[CsvRow]:

@@ -18,7 +18,7 @@ CHECKS = {"ablation": {"test": {"no_operator": 0.5}}, "transport": {"test": {"re
 def test_what_is_written_is_read(evaluation, tmp_path) -> None:
     path = evaluation(**CHECKS).write(tmp_path / "new")
     assert path == tmp_path / "new" / EVALUATION_FILE
-    assert Evaluation.read(path) == evaluation(**CHECKS)
+    assert read_evaluations([path]) == [evaluation(**CHECKS)]
 
 
 def test_it_describes_checkpoint_data_and_metrics(data_root) -> None:
@@ -37,7 +37,7 @@ def test_the_file_is_strict_json_even_with_nan_and_infinity(evaluation, tmp_path
     path = evaluation(means={("test", "model"): values}).write(tmp_path)
     numbers = json.loads(path.read_text(), parse_constant=pytest.fail)["splits"]["test"]["model"]["psnr"]
     assert numbers["mean"] == "inf"
-    back = Evaluation.read(path).means["test", "model"]["psnr"]
+    back = read_evaluations([path])[0].means["test", "model"]["psnr"]
     assert back.mean == math.inf and math.isnan(back.low)
 
 

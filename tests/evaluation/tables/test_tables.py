@@ -110,9 +110,31 @@ def test_other_data_has_its_own_table_with_baselines(tables, evaluation) -> None
 def test_the_command_prints_its_files(evaluation, tmp_path, capsys) -> None:
     evaluation(data="quickstart").write(tmp_path / "a")
     main([str(tmp_path / "a"), "--output", str(tmp_path / "out")])
-    expected = {tmp_path / "out" / f"{table}.{end}" for table in TABLES for end in ("md", "csv")}
+    expected = {tmp_path / "out" / f"{table}.{end}" for table in TABLES for end in ("md", "tex", "csv")}
     assert {str(path) for path in expected} == set(capsys.readouterr().out.split())
     assert all(path.is_file() for path in expected)
+
+
+def test_latex_has_the_numbers_of_markdown_with_its_own_escapes(tables, evaluation) -> None:
+    made = tables(evaluation(data="quick_start"))
+    latex = made["others.tex"]
+    assert r"\textit{Data set 'quick\_start'}" in latex
+    assert r"RenderFormer++ & ours [1]: 27K steps on quick\_start & 0.1000" in latex
+    assert latex.count(r"\begin{") == latex.count(r"\end{") == 2
+    numbers = [cell for row in _markdown_rows(made["others.md"]) for cell in row if cell.startswith("0.")]
+    assert numbers and all(number.replace("–", "--") in latex for number in numbers)
+
+
+def test_collected_evaluations_are_read_in_place_of_their_folders(evaluation, tmp_path, capsys) -> None:
+    for seed in (0, 1):
+        evaluation(data="quickstart", seed=seed).write(tmp_path / f"run{seed}")
+    main([str(tmp_path), "--output", str(tmp_path / "first"), "--collect", str(tmp_path / "all.json")])
+    main([str(tmp_path / "all.json"), "--output", str(tmp_path / "second")])
+    for file in (tmp_path / "first").iterdir():
+        assert file.read_bytes() == (tmp_path / "second" / file.name).read_bytes()
+    (tmp_path / "all.json").write_text("[1]")
+    with pytest.raises(SystemExit, match=r"all.json: not an evaluation"):
+        main([str(tmp_path / "all.json")])
 
 
 def test_a_bad_path_is_one_line(tmp_path, capsys) -> None:
