@@ -157,7 +157,7 @@ def test_a_full_tracking_database_does_not_stop_training(data, composed, monkeyp
 def test_no_blender_installed(tmp_path):
     (tmp_path / "bpy").mkdir()
     (tmp_path / "bpy" / "__init__.py").write_text("raise ModuleNotFoundError(\"No module named 'bpy'\", name='bpy')")
-    small = ["data.resolution=16", "farm.workers=1", ONE_SCENE, f"data.root={tmp_path}/data"]
+    small = ["reference=preview", "data.resolution=16", "farm.workers=1", ONE_SCENE, f"data.root={tmp_path}/data"]
     done = command("generate", "experiment=quickstart", *small, env={**os.environ, "PYTHONPATH": str(tmp_path)})
     assert done.returncode == 1
     assert [line for line in done.stderr.splitlines() if line.startswith("error: ")] == [done.stderr.strip()]
@@ -169,7 +169,7 @@ def test_no_blender_installed(tmp_path):
 def test_a_full_disk_while_writing(verb, data, tmp_path):
     """A limit on file sizes stands in for the disk: no root needed, the same kind of error."""
     overrides = {
-        "generate": ["experiment=quickstart", "data.resolution=32", "reference.samples=1", "farm.workers=1",
+        "generate": ["experiment=quickstart", "reference=preview", "data.resolution=32", "reference.samples=1", "farm.workers=1",
                      ONE_SCENE, f"data.root={tmp_path}/data"],
         "train": ["debug=cpu", f"data.root={data}", "data.resolution=8", "steps=1", "trainer.val_check_interval=1",
                   "loss.lpips_weight=0.0", f"run_dir={tmp_path}/run", f"logger.folder={tmp_path}"],

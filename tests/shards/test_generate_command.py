@@ -21,7 +21,8 @@ REPOSITORY = Path(__file__).resolve().parents[2]
 
 #: Generates one small scene.
 COMMAND = (
-    sys.executable, "launch/generate.py", "experiment=quickstart", "data.resolution=16", "reference.samples=1",
+    sys.executable, "launch/generate.py", "experiment=quickstart", "reference=preview", "data.resolution=16",
+    "reference.samples=1",
     "farm.workers=1", "data.splits={train: 1, train_newviews: 0, validation: 0, test: 0}",
 )  # fmt: skip
 
