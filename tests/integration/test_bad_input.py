@@ -169,8 +169,8 @@ def test_no_blender_installed(tmp_path):
 def test_a_full_disk_while_writing(verb, data, tmp_path):
     """A limit on file sizes stands in for the disk: no root needed, the same kind of error."""
     overrides = {
-        "generate": ["experiment=quickstart", "reference=preview", "data.resolution=32", "reference.samples=1", "farm.workers=1",
-                     ONE_SCENE, f"data.root={tmp_path}/data"],
+        "generate": ["experiment=quickstart", "reference=preview", "data.resolution=32", "reference.samples=1",
+                     "farm.workers=1", ONE_SCENE, f"data.root={tmp_path}/data"],
         "train": ["debug=cpu", f"data.root={data}", "data.resolution=8", "steps=1", "trainer.val_check_interval=1",
                   "loss.lpips_weight=0.0", f"run_dir={tmp_path}/run", f"logger.folder={tmp_path}"],
     }  # fmt: skip

@@ -91,8 +91,8 @@ def test_a_cancelled_job_saves_and_exits(slurm, tmp_path):
 
 
 SMALL = (
-    "experiment=quickstart", "reference=preview", "data.resolution=16", "reference.samples=1", "farm.workers=1", "data.scenes_per_shard=1",
-    "data.splits={train: 2, train_newviews: 1, validation: 0, test: 0}", "slice.count=2",
+    "experiment=quickstart", "reference=preview", "data.resolution=16", "reference.samples=1", "farm.workers=1",
+    "data.scenes_per_shard=1", "data.splits={train: 2, train_newviews: 1, validation: 0, test: 0}", "slice.count=2",
 )  # fmt: skip
 
 
