@@ -20,7 +20,7 @@ from torch import multiprocessing, nn
 from torch.nn.parallel import DistributedDataParallel
 
 from rfpp.batch import RaggedBatch, SceneViews
-from rfpp.benchmark.cost.case import noisy_views
+from rfpp.benchmark.case import noisy_views
 from rfpp.losses.rendering import RenderingLoss
 from rfpp.model.renderformer_pp import RenderFormerPP
 from rfpp.scene.packed import pack

@@ -1,10 +1,10 @@
-"""The Markdown table of both networks on a GPU."""
+"""The Markdown table of what both networks cost."""
 
 import pytest
 
 from rfpp.benchmark.csv_rows import read_rows
-from rfpp.benchmark.gpu import IDENTITY
-from rfpp.benchmark.gpu_table import main, table
+from rfpp.benchmark.cost import IDENTITY
+from rfpp.benchmark.cost_table import main, table
 from rfpp.commands import CONFIG_DIR
 from rfpp.errors import UserError
 
@@ -16,7 +16,7 @@ def row(network, seconds, memory, **changes):
         "quantity": "training_step", "acceleration": "graphs", "size": "base", "triangles": "1000", "objects": "5",
         "views": "1", "resolution": "64", "scenes": "1", "network": network, "seconds": seconds,
         "peak_GB": memory, "status": "ok" if seconds else "out of memory", "hardware": "a card", "torch": "2",
-        "commit": "c0ffee",
+        "commit": "c0ffee", "device": "cuda",
     } | changes  # fmt: skip
 
 
@@ -46,7 +46,7 @@ def test_different_cards_are_not_compared():
 
 
 def test_the_command_prints_the_table_of_the_committed_rows(capsys):
-    rows = read_rows(COMMITTED, "gpu", {*IDENTITY})
+    rows = read_rows(COMMITTED, "cost", {*IDENTITY})
     assert all(float(r["of_peak"]) < 1 for r in rows if r["of_peak"])
     markdown = main([str(COMMITTED)])
     assert capsys.readouterr().out == f"{markdown}\n"

@@ -1,6 +1,6 @@
-"""Print the table of RenderFormer and RenderFormer++ on a GPU as Markdown.
+"""Print the cost of RenderFormer and RenderFormer++ as a Markdown table.
 
-python -m rfpp.benchmark.gpu_table data/results/gpu.csv
+python -m rfpp.benchmark.cost_table data/results/gpu.csv
 """
 
 from __future__ import annotations
@@ -8,13 +8,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from rfpp.benchmark.csv_rows import command, read_rows
-from rfpp.benchmark.gpu import IDENTITY
+from rfpp.benchmark.cost import IDENTITY
 from rfpp.errors import UserError
 
 #: Compared networks, the baseline first.
 NETWORKS = ("RenderFormer", "RenderFormer++")
 
-_HEADER = "| bf16, one view | triangles | pixels | RenderFormer | RenderFormer++ | speed | memory |"
+_HEADER = "| bf16 | triangles | pixels | RenderFormer | RenderFormer++ | speed | memory |"
 #: Measured quantities in the order of the table.
 _NAMES = {
     "training_step": "training step",
@@ -31,7 +31,7 @@ Rows = Sequence[dict[str, str]]
 
 
 def table(rows: Rows) -> str:
-    """Return a Markdown table for each GPU, PyTorch version and commit.
+    """Return a Markdown table for each machine, PyTorch version and commit.
 
     Raises:
         UserError: If no case was measured with both networks.
@@ -40,7 +40,7 @@ def table(rows: Rows) -> str:
     pairs = [(row, by_network[1][key]) for key, row in by_network[0].items() if key in by_network[1]]
     pairs = [(baseline, ours) for baseline, ours in pairs if baseline["quantity"] in _NAMES]
     if not pairs:
-        raise UserError("no case was measured with both networks: continue benchmark=gpu")
+        raise UserError("no case was measured with both networks: continue the benchmark")
     order = list(_NAMES)
     pairs.sort(key=lambda p: (order.index(p[0]["quantity"]), int(p[0]["resolution"]), int(p[0]["triangles"])))
     sources: dict[str, list[str]] = {}
@@ -51,7 +51,8 @@ def table(rows: Rows) -> str:
 
 
 def _line(baseline: dict[str, str], ours: dict[str, str]) -> str:
-    name = f"{_NAMES[ours['quantity']]}, {ours['size']}" + (", plain" if ours["acceleration"] == "none" else "")
+    is_plain = (ours["device"], ours["acceleration"]) == ("cuda", "none")
+    name = f"{_NAMES[ours['quantity']]}, {ours['size']}" + (", plain" if is_plain else "")
     speed = memory = ""
     if baseline["seconds"] and ours["seconds"]:
         speed = f"{float(baseline['seconds']) / float(ours['seconds']):.1f} ×"
@@ -65,13 +66,14 @@ def _cell(row: dict[str, str]) -> str:
     if not row["seconds"]:
         return row["status"]
     gigabytes = f", {float(row['peak_GB']):.1f} GB" if row["peak_GB"] else ""
-    return f"{1000 * float(row['seconds']):.0f} ms{gigabytes}"
+    seconds = float(row["seconds"])
+    return (f"{seconds:.1f} s" if seconds >= 1 else f"{1000 * seconds:.0f} ms") + gigabytes
 
 
 def main(arguments: Sequence[str] | None = None) -> str:
     """Run the command of the module's docstring."""
-    columns = {*IDENTITY, *_SHARED, "seconds", "peak_GB", "status", "parameters"}
-    return command("gpu", __doc__, lambda path: table(read_rows(path, "gpu", columns)), arguments)
+    columns = {*IDENTITY, *_SHARED, "seconds", "peak_GB", "status"}
+    return command("cost", __doc__, lambda path: table(read_rows(path, "cost", columns)), arguments)
 
 
 if __name__ == "__main__":

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from rfpp.benchmark.cost.case import LIGHTS, Case
+from rfpp.benchmark.case import LIGHTS, Case
 from rfpp.errors import UserError
 
 

@@ -1,1 +1,0 @@
-"""Time, memory and operations of networks over scene and image sizes (`benchmark=cost` and `benchmark=gpu`)."""
