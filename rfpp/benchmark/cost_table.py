@@ -7,8 +7,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from rfpp.benchmark.csv_rows import command, read_rows
 from rfpp.benchmark.cost import IDENTITY
+from rfpp.benchmark.csv_rows import command, read_rows
 from rfpp.errors import UserError
 
 #: Compared networks, the baseline first.

@@ -11,11 +11,12 @@ from jaxtyping import Bool, Float
 from rfpp.benchmark.csv_rows import Row
 from rfpp.benchmark.methods import ByCycles
 from rfpp.benchmark.mitsuba_reference import render, sees_emitters
-from rfpp.benchmark.outside_scenes import outside_scenes
 from rfpp.imaging.panels import panel, save_picture
 from rfpp.imaging.tone_maps import SRGB
 from rfpp.inference.renderer import Renderer
 from rfpp.reference.cycles import CyclesSettings
+from rfpp.scene.io.loading import load_scene
+from rfpp.scene.packed import pack
 
 Image = Float[np.ndarray, "h w 3"]
 #: Pixels along each side of the squares over which images are averaged before they are compared.
@@ -25,6 +26,7 @@ _DARK = 1e-6
 
 
 def measure(
+    folder: Path | str,
     checkpoint: str,
     presets: Mapping[str, CyclesSettings],
     samples: int,
@@ -38,6 +40,7 @@ def measure(
     For a dark view, `energy` is its mean radiance as a share of the scene's first view, and `relative_l1` is empty.
 
     Args:
+        folder: Scenes, as RenderFormer JSON.
         checkpoint: Model that `Renderer.load` accepts, linear in lights.
         presets: Name → settings of Cycles.
         samples: Paths per pixel of the references.
@@ -45,10 +48,11 @@ def measure(
         picture: PNG or JPEG file for a sheet of all views, or None.
         progress: Called with (images rendered, all images).
     """
-    scenes, renderer = list(outside_scenes()), Renderer.load(checkpoint)
+    scenes = [pack(load_scene(path)) for path in sorted(Path(folder).glob("*.json"))]
+    renderer = Renderer.load(checkpoint)
     sheet: dict[str, list[Image]] = {}
     done, total = 0, len(scenes) * (1 + len(presets) + 1)
-    for kind, scene in scenes:
+    for scene in scenes:
         reference = render(scene, resolution, samples)
         progress(done := done + 1, total)
         images: dict[str, Float[np.ndarray, "v h w 3"]] = {}
@@ -61,7 +65,7 @@ def measure(
         for view in range(len(scene.fov)):
             masked = sees_emitters(scene, view, resolution)
             for method, pictures in images.items():
-                yield {"class": kind, "scene": scene.name, "view": view, "method": method} | _agreement(
+                yield {"scene": scene.name, "view": view, "method": method} | _agreement(
                     pictures[view], reference[view], masked, reference[0]
                 )
             for method, pictures in {"Mitsuba": reference, **images}.items():

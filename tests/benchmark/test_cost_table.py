@@ -2,9 +2,9 @@
 
 import pytest
 
-from rfpp.benchmark.csv_rows import read_rows
 from rfpp.benchmark.cost import IDENTITY
 from rfpp.benchmark.cost_table import main, table
+from rfpp.benchmark.csv_rows import read_rows
 from rfpp.commands import CONFIG_DIR
 from rfpp.errors import UserError
 

@@ -1,7 +1,7 @@
 """Light where it is hard: near a ceiling, through a window, in furnaces, behind a wall.
 
-`mitsuba_light_below_ceiling.npz` holds images of 32² pixels of the first four scenes of `benchmark=outside`, rendered
-by Mitsuba 3.9.1 (`path`, 128², 128 samples, averaged over 4 × 4 pixels).
+`mitsuba_light_below_ceiling.npz` holds images of 32² pixels of four scenes of `benchmark=outside`, rendered by Mitsuba
+3.9.1 (`path`, 128², 128 samples, averaged over 4 × 4 pixels).
 """
 
 from pathlib import Path
@@ -11,14 +11,20 @@ import pytest
 import torch
 
 from rfpp.benchmark.mitsuba_reference import sees_emitters
-from rfpp.benchmark.outside_scenes import furnace, light_below_ceiling, two_rooms, window
+from rfpp.commands import CONFIG_DIR
 from rfpp.inference.gbuffers import GBufferSource
 from rfpp.inference.plan import Plan
 from rfpp.inference.radiosity_engine import RadiosityEngine
 from rfpp.radiosity.radiosity import Radiosity
-from rfpp.scene.packed import PackedScene
+from rfpp.scene.io.loading import load_scene
+from rfpp.scene.packed import PackedScene, pack
 
 REFERENCES = Path(__file__).with_name("mitsuba_light_below_ceiling.npz")
+SCENES = CONFIG_DIR.parent / "data" / "scenes" / "outside"
+
+
+def load(name: str) -> PackedScene:
+    return pack(load_scene(SCENES / f"{name}.json"))
 
 
 def render(scene: PackedScene, resolution: int = 64) -> np.ndarray:
@@ -28,7 +34,7 @@ def render(scene: PackedScene, resolution: int = 64) -> np.ndarray:
 
 @pytest.mark.parametrize("gap", [0.005, 0.02, 0.1, 0.3])
 def test_a_light_below_a_ceiling(gap):
-    scene = light_below_ceiling(gap)
+    scene = load(f"light_{gap:g}_below_ceiling")
     expected = np.load(REFERENCES)[f"gap_{gap:g}"].astype(np.float64)
     image = render(scene)[0].reshape(32, 2, 32, 2, 3).mean((1, 3))
     unmasked = ~sees_emitters(scene, 0, 32)
@@ -37,16 +43,16 @@ def test_a_light_below_a_ceiling(gap):
 
 @pytest.mark.parametrize("albedo", [0.5, 0.8])
 def test_a_furnace_matches_its_closed_form(albedo):
-    assert render(furnace(albedo), 16).mean() == pytest.approx(albedo / (1 - albedo), rel=0.02)
+    assert render(load(f"furnace_{albedo:g}"), 16).mean() == pytest.approx(albedo / (1 - albedo), rel=0.02)
 
 
 def test_no_light_passes_through_a_wall():
-    lit, dark = render(two_rooms())
+    lit, dark = render(load("two_rooms"))
     assert dark.mean() < 0.005 * lit.mean()
 
 
 def test_light_through_an_opening_is_unbiased_at_few_samples():
     source = GBufferSource(["direct_diffuse"])
-    few, many = (source.of(window(), 64, 64, samples)(0).mean(dtype=np.float64) for samples in (4, 256))
+    few, many = (source.of(load("window"), 64, 64, samples)(0).mean(dtype=np.float64) for samples in (4, 256))
     assert many > 0
     assert few == pytest.approx(many, rel=0.02)
