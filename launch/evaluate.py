@@ -34,7 +34,7 @@ from rfpp.evaluation.tracked_results import log_to_training_run, results_folder
 from rfpp.inference.renderer import Renderer
 from rfpp.metrics.image import ImageMetrics
 from rfpp.metrics.lpips import LPIPS, load_trunk
-from rfpp.progress import progress_bars
+from rfpp.progress import counting
 from rfpp.shards.dataset import ShardSplit
 from rfpp.training.tracking.registry import checkpoint_file
 
@@ -55,9 +55,9 @@ def main(cfg: DictConfig) -> list[Evaluation]:
     metrics = ImageMetrics(lpips, cfg.evaluation.detailed)
     baselines = fitted_baselines(ShardSplit(cfg.data.root, "train", cache), cfg.evaluation.baseline_scenes)
     records = []
-    with progress_bars(console) as bar:
-        for split in splits:
-            records += score(baselines, split, metrics, device, bar(f"{split.split}, baselines", len(split)))
+    for split in splits:
+        with counting(console, f"scenes of {split.split}, baselines") as (show, _):
+            records += score(baselines, split, metrics, device, show)
     return [_evaluate(cfg, *item, splits, metrics, records, device, console) for item in outputs.items()]
 
 
@@ -89,18 +89,18 @@ def _evaluate(
 
     records, pictured, panels = [], [], []
     checks: dict[str, dict] = {"ablation": {}, "transport": {}}
-    with progress_bars(console) as bar:
-        for split in splits:
-            name = split.split
-            scored = score([predictor], split, metrics, device, bar(f"{name}, model", len(split)))
-            records += [*scored, *(record for record in baselines if record.split == name)]
-            if isinstance(predictor, NetworkPredictor):
-                sample = (predictor.network, split, device, cfg.evaluation.ablation_scenes)
-                checks["ablation"][name] = ablation_growth(*sample)
-                checks["transport"][name] = transport_convergence(*sample)
-            shown = pictured_scenes(scored, predictor, split, device)
-            panels.append(save_panel(shown, output / f"{name}.png"))
-            pictured += shown
+    for split in splits:
+        name = split.split
+        with counting(console, f"scenes of {name}") as (show, _):
+            scored = score([predictor], split, metrics, device, show)
+        records += [*scored, *(record for record in baselines if record.split == name)]
+        if isinstance(predictor, NetworkPredictor):
+            sample = (predictor.network, split, device, cfg.evaluation.ablation_scenes)
+            checks["ablation"][name] = ablation_growth(*sample)
+            checks["transport"][name] = transport_convergence(*sample)
+        shown = pictured_scenes(scored, predictor, split, device)
+        panels.append(save_panel(shown, output / f"{name}.png"))
+        pictured += shown
 
     means = split_estimates(records, Bootstrap(**cfg.evaluation.bootstrap))
     evaluation = Evaluation.of(info, manifest, device, means, **checks)

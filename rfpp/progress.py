@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -54,32 +53,6 @@ def counting(console: Console, things: str, each: int = 1) -> Iterator[tuple[Cal
                 lines(done * each, total * each, notes[0])
 
         yield show, count
-
-
-@contextmanager
-def progress_bars(console: Console) -> Iterator[Callable[[str, int], Callable[[], None]]]:
-    """Show a bar for each part of a work.
-
-    Yields a function `bar(name, total)`, which adds a bar and returns a function to call after each thing done.
-    """
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console) as progress:
-
-        def bar(name: str, total: int) -> Callable[[], None]:
-            task = progress.add_task(name, total=total)
-            lines = None if console.is_terminal else ProgressLines(f"{name}:", console.print)
-            counter = itertools.count(1)
-
-            def advance() -> None:
-                progress.update(task, completed=(done := next(counter)))
-                if lines:
-                    lines(done, total)
-
-            if lines:
-                lines(0, total)
-            return advance
-
-        yield bar
 
 
 class ProgressLines:

@@ -4,7 +4,7 @@ import io
 
 from rich.console import Console
 
-from rfpp.progress import ProgressLines, counting, progress_bars
+from rfpp.progress import ProgressLines, counting
 
 
 def lines_at(steps, **settings) -> list[str]:
@@ -35,14 +35,3 @@ def test_files_get_lines_and_terminals_a_bar():
                 show(done, 20, f"note {done}" if done % 2 == 0 else None)
         assert ("images 10 of 20" in output.getvalue()) != terminal
         assert ("note 12" if terminal else "note 10") in output.getvalue()
-
-
-def test_each_part_of_a_work_has_its_own_lines():
-    output = io.StringIO()
-    with progress_bars(Console(file=output, width=200)) as bar:
-        for name in ("test, model", "test, baselines"):
-            advance = bar(name, 32)
-            for _ in range(32):
-                advance()
-    assert "test, model: 10 of 32, " in output.getvalue()
-    assert "test, baselines: 10 of 32, " in output.getvalue()

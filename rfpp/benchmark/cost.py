@@ -61,14 +61,6 @@ class TrainingParts:
     gradient_clip: float
 
 
-@dataclass(frozen=True)
-class Repetitions:
-    """Duration of a row: at least `seconds` and five rounds, but at most `most_seconds` and one round more."""
-
-    seconds: float | int
-    most_seconds: float | int
-
-
 def measure(
     networks: Mapping[str, Untrained],
     size: str,
@@ -76,7 +68,8 @@ def measure(
     case: Case,
     groups: Sequence[Mapping[str, Any]],
     device: str,
-    repetitions: Repetitions,
+    seconds: float | int,
+    most_seconds: float | int,
     finished: str | None,
     progress: Callable[[int, int], None],
 ) -> Iterator[Row]:
@@ -91,6 +84,8 @@ def measure(
         groups: Changes of the case, with `quantities` and, on a GPU, `acceleration`
             (`rfpp.training.plan.ACCELERATIONS`).
         device: "cpu", "cuda", or "auto" for a GPU if there is one.
+        seconds: Least duration of a row, which has five rounds or more.
+        most_seconds: Duration after which no further round begins.
         finished: Table whose rows are kept and not measured again.
 
     Raises:
@@ -114,7 +109,9 @@ def measure(
                 row = {"network": network.name, "size": size, "acceleration": acceleration, **vars(this)}
                 row |= {"quantity": quantity, "device": device}
                 if tuple(str(row[name]) for name in IDENTITY) not in known:
-                    yield row | _measured(network, this, quantity, acceleration, training, repetitions, device)
+                    yield row | _measured(
+                        network, this, quantity, acceleration, training, (seconds, most_seconds), device
+                    )
 
 
 def _point(case: Case, group: Mapping[str, Any], device: str) -> tuple[Case, Sequence[str], str]:
@@ -135,7 +132,7 @@ def _measured(
     quantity: str,
     acceleration: str,
     training: TrainingParts,
-    repetitions: Repetitions,
+    duration: tuple[float | int, float | int],
     device: str,
 ) -> Row:
     torch.manual_seed(_SEED)
@@ -156,7 +153,7 @@ def _measured(
         else:
             run = _stage(network, batch, quantity, acceleration)
         try:
-            row = _timed(run, repetitions, on_gpu)
+            row = _timed(run, *duration, on_gpu)
         except torch.OutOfMemoryError:
             return {"status": "out of memory"}
     peak = published_peak(torch.device(device), torch.bfloat16)
@@ -171,7 +168,7 @@ def _measured(
     }
 
 
-def _timed(run: Callable[[], Any], repetitions: Repetitions, on_gpu: bool) -> Row:
+def _timed(run: Callable[[], Any], seconds: float | int, most_seconds: float | int, on_gpu: bool) -> Row:
     """Execute a round repeatedly. The first rounds warm up, and count only if they took long."""
     wait = torch.cuda.synchronize if on_gpu else (lambda: None)
 
@@ -183,14 +180,14 @@ def _timed(run: Callable[[], Any], repetitions: Repetitions, on_gpu: bool) -> Ro
         return launched, time.perf_counter() - begin
 
     warming = [round_seconds()]
-    rounds = warming[:] if warming[0][1] >= repetitions.most_seconds else []
+    rounds = warming[:] if warming[0][1] >= most_seconds else []
     if not rounds and on_gpu:  # the graph is captured in the second round
         warming += [round_seconds(), round_seconds()]
 
     def spent() -> float:
         return sum((whole for _, whole in rounds), 0.0)
 
-    while spent() < repetitions.seconds or (len(rounds) < _LEAST_ROUNDS and spent() < repetitions.most_seconds):
+    while spent() < seconds or (len(rounds) < _LEAST_ROUNDS and spent() < most_seconds):
         rounds.append(round_seconds())
     times = [whole for _, whole in rounds]
     kernels, busy = _kernels(run) if on_gpu else (None, None)

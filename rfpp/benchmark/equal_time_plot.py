@@ -5,6 +5,7 @@ python -m rfpp.benchmark.equal_time_plot data/results/equal_time.csv
 
 from __future__ import annotations
 
+import io
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -15,8 +16,8 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from rich.console import Console
 from rich.table import Table
 
-from rfpp.benchmark import plotting
 from rfpp.benchmark.csv_rows import command, read_rows
+from rfpp.files import write_atomically
 
 #: Panel → column of its seconds, and columns of its errors; the first error is drawn.
 _PANELS = {
@@ -42,7 +43,10 @@ def plot(path: Path) -> Path:
         axis.set_title(title)
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=4, fontsize=8)
     Console(width=120).print(_times(rows, panels))
-    return plotting.save(figure, path)
+    stream = io.BytesIO()
+    figure.savefig(stream, format="png", dpi=120)
+    plt.close(figure)
+    return write_atomically(path.with_suffix(".png"), stream.getvalue())
 
 
 def times_at_equal_error(rows: Rows, method: str, seconds: str, error: str) -> list[float]:

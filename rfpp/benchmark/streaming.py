@@ -11,16 +11,11 @@ from pathlib import Path
 from statistics import median
 
 import lightning as L
-import numpy as np
 import psutil
-from jaxtyping import Float
-from scipy.ndimage import gaussian_filter
 
 from rfpp.benchmark.csv_rows import Row
-from rfpp.raycast.first_hit import camera_caster, channel, first_hit
-from rfpp.reference.cycles import CyclesSettings
 from rfpp.reference.farm import RenderFarm
-from rfpp.scene.triangles import SceneTriangles
+from rfpp.reference.labels import LabelSource
 from rfpp.shards.generation import generate
 from rfpp.shards.job import DatasetSettings, SceneSource
 from rfpp.shards.manifest import Manifest
@@ -36,8 +31,6 @@ _PREFETCHED = 2
 
 #: Wall and CPU seconds, the latter with those of child processes.
 Seconds = tuple[float, float]
-#: Standard deviation of log radiance: noise that remains after denoising.
-_NOISE = 0.01
 
 
 def measure(
@@ -125,32 +118,17 @@ def _since(begin: Seconds) -> Seconds:
 
 @dataclass(frozen=True)
 class SyntheticData:
-    """First training scenes of a family, with synthetic images."""
+    """First training scenes of a family, with images that need no Blender."""
 
     family: SceneSource
     data: DatasetSettings
-    reference: CyclesSettings
+    reference: LabelSource
     farm: RenderFarm
     scenes: int
 
     def write(self, folder: Path, progress: Callable[[int, int], None]) -> None:
         """Write the data set into a folder."""
         data = replace(self.data, name="synthetic", root=str(folder), splits={"train": self.scenes})
-        recipe = Recipe.of_scenes(self.family, self.reference, data, {}, synthetic_images)
+        recipe = Recipe.of_scenes(self.family, self.reference, data, {})
         with self.farm as farm:
             generate(recipe, farm, progress)
-
-
-def synthetic_images(
-    triangles: SceneTriangles, c2w: np.ndarray, fov: np.ndarray, height: int, width: int, settings: CyclesSettings
-) -> Float[np.ndarray, "v height width 3"]:
-    """Return albedo times headlight and smooth indirect light, with noise; same signature as `cycles.render`."""
-    rng, caster = np.random.default_rng(settings.seed), camera_caster(triangles)
-    images = []
-    for pose, angle in zip(c2w, fov, strict=True):
-        hit = first_hit(triangles, pose, angle, height, width, caster)
-        albedo = channel(hit, triangles.material, angle, "albedo")
-        headlight = albedo * np.maximum(hit.normal[..., 2:], 0)
-        light = headlight + albedo * gaussian_filter(headlight, (height / 16, width / 16, 0))
-        images.append(light * np.exp(rng.normal(0, _NOISE, light.shape)))
-    return np.stack(images).astype(np.float32)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from collections.abc import Callable, Hashable
+from contextlib import suppress
 from hashlib import blake2b
 from threading import Lock
 from typing import Generic, TypeVar
 
 import numpy as np
+from cachetools import LRUCache
 
 Value = TypeVar("Value")
 
@@ -17,29 +18,19 @@ class BoundedCache(Generic[Value]):
     """Thread-safe cache with a limit of all values together."""
 
     def __init__(self, max_bytes: int):
-        self.max_bytes, self.bytes = max_bytes, 0
-        self._entries: OrderedDict[Hashable, tuple[Value, int]] = OrderedDict()
+        self._entries: LRUCache = LRUCache(max_bytes, getsizeof=lambda entry: entry[1])
         self._lock = Lock()
         self._computing: dict[Hashable, Lock] = {}
 
     def get(self, key: Hashable) -> Value | None:
         """Return a value, or None if it is not in the cache."""
         with self._lock:
-            if key not in self._entries:
-                return None
-            self._entries.move_to_end(key)
-            return self._entries[key][0]
+            return self._entries.get(key, (None, 0))[0]
 
     def put(self, key: Hashable, value: Value, size: int) -> None:
         """Store a value of `size` bytes, unless it exceeds the limit by itself."""
-        with self._lock:
-            self.bytes -= self._entries.pop(key, (None, 0))[1]
-            if size > self.max_bytes:
-                return
+        with self._lock, suppress(ValueError):  # raised for values above the limit
             self._entries[key] = value, size
-            self.bytes += size
-            while self.bytes > self.max_bytes:
-                self.bytes -= self._entries.popitem(last=False)[1][1]
 
     def get_or_compute(self, key: Hashable, size: int, compute: Callable[[], Value]) -> Value:
         """Return a value; compute and store it first if it is missing.

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping
 
 import torch
 from jaxtyping import Float
+from scipy.optimize import minimize_scalar
 from torch import Tensor
 
 from rfpp.imaging.radiance import log_decode, log_encode
@@ -103,18 +104,13 @@ class AlbedoTimesConstant(Baseline):
             targets.append(log_encode(image.float()).flatten(2)[..., ::stride].flatten())
         albedo, target = torch.cat(albedos), torch.cat(targets)
         visible = albedo > 0  # elsewhere the prediction is zero for any constant
-        self.constant = _minimizer(albedo[visible], target[visible], *self.SEARCH)
+        albedo, target = albedo[visible], target[visible]
+
+        def error(exponent: float) -> float:
+            return (log_encode(10**exponent * albedo) - target).abs().mean().item()
+
+        self.constant = 10 ** float(minimize_scalar(error, bounds=self.SEARCH, method="bounded").x)
         return self
 
     def predict(self, gbuffer: Mapping[str, Images]) -> Images:
         return self.constant * gbuffer["albedo"]
-
-
-def _minimizer(albedo: Tensor, target_log: Tensor, low: float, high: float) -> float:
-    """Return c in 10^[low, high] with the least log-L1: a grid over exponents, refined three times."""
-    for _ in range(4):
-        exponents = torch.linspace(low, high, 21).tolist()
-        losses = [(log_encode(10**e * albedo) - target_log).abs().mean().item() for e in exponents]
-        best = min(range(len(losses)), key=losses.__getitem__)
-        low, high = exponents[max(best - 1, 0)], exponents[min(best + 1, len(exponents) - 1)]
-    return float(10 ** exponents[best])

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Int
 
-from rfpp.radiosity.cell_places import RAYS, CellPlaces, find_places
-from rfpp.radiosity.cells import CellMap, Cells
+from rfpp.radiosity.cell_places import RAYS, CellPlaces
+from rfpp.radiosity.cells import Cells
 from rfpp.radiosity.ray_ends import follow_rays
 from rfpp.raycast.direct_light import gathered
 from rfpp.raycast.light_sampler import LightSampler
@@ -30,12 +30,6 @@ class CellSources:
     triangle: Int[np.ndarray, " p"]
     cell: Int[np.ndarray, " p"]
     bounced: Trace
-
-
-def find_cells(sampler: LightSampler) -> tuple[Cells, CellMap]:
-    """Return the cells of a scene and the map to them; deterministic for a scene."""
-    places = find_places(sampler.triangles, sampler.caster)
-    return cells_at(places, sampler)[0], places.map
 
 
 def cells_at(places: CellPlaces, sampler: LightSampler) -> tuple[Cells, CellSources]:

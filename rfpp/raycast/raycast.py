@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from rfpp.raycast.compiled import compiled
-from rfpp.raycast.embree import Structure, blocked, closest, embree
+from rfpp.raycast.embree import Structure, closest, embree
 from rfpp.raycast.threads import over_rows
 
 
@@ -56,18 +56,6 @@ class RayCaster:
         over_rows(count, _cast, self.address, _packed(origins), _packed(directions), *hits)
         return hits
 
-    def occluded(
-        self,
-        origins: Float[np.ndarray, "r 3"],
-        directions: Float[np.ndarray, "r 3"],
-        max_distance: Float[np.ndarray, " r"],
-    ) -> Bool[np.ndarray, " r"]:
-        """Whether anything lies on each ray nearer than `max_distance` (in lengths of its direction)."""
-        found = np.empty(len(origins), np.bool_)
-        reach = np.ascontiguousarray(max_distance, dtype=np.float32)
-        over_rows(len(origins), _occluded, self.address, _packed(origins), _packed(directions), reach, found)
-        return found
-
 
 def _packed(vectors: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(vectors, dtype=np.float32)
@@ -88,17 +76,3 @@ def _cast(
         hit, u, v, reach = closest(address, origins[row], ways[row])
         triangle[row], distance[row] = hit, reach
         barycentric[row, 0], barycentric[row, 1], barycentric[row, 2] = (1 - u - v if hit >= 0 else 0.0), u, v
-
-
-@compiled
-def _occluded(
-    first: int,
-    last: int,
-    address: int,
-    origins: Float[np.ndarray, "r 3"],
-    ways: Float[np.ndarray, "r 3"],
-    reach: Float[np.ndarray, " r"],
-    found: Bool[np.ndarray, " r"],
-) -> None:
-    for row in range(first, last):
-        found[row] = blocked(address, origins[row], ways[row], reach[row])

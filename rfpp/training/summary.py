@@ -13,6 +13,7 @@ from rfpp.metrics.image import METRICS
 from rfpp.training.datamodule import SceneDataModule
 from rfpp.training.plan import TrainingPlan
 from rfpp.training.run import parameter_counts
+from rfpp.training.tracking.description import hardware
 from rfpp.training.tracking.journal import JOURNAL, records
 from rfpp.training.tracking.run_logger import RunLogger
 
@@ -36,7 +37,7 @@ def start_summary(
         f"Data     {data.root}: {data.counts['scenes']} scenes, {data.counts['images']} images "
         f"of {cfg['data']['resolution']}² (manifest {data.hash[:12]})\n"
         f"Steps    {cfg['steps']} of {scenes} scenes x {views} views = {scenes * views} images\n"
-        f"Devices  {plan.ranks} x {_name(device)}, {share} scenes each, {share // plan.accumulate_grad_batches} at a "
+        f"Devices  {plan.ranks} x {hardware(device)}, {share} scenes each, {share // plan.accumulate_grad_batches} at a "
         f"time, {plan.precision}\n"
         f"Writes   {cfg['run_dir']}, {logger.location}"
     )
@@ -68,9 +69,3 @@ def end_summary(logger: RunLogger, checkpoint: Path, data_root: str, monitor: st
         f"Render   python launch/render.py scene=data/scenes/cornell_box.json checkpoint={checkpoint}",
     ]
     return "\n".join(lines)
-
-
-def _name(device: torch.device) -> str:
-    if device.type == "cuda":
-        return torch.cuda.get_device_name(device)
-    return f"CPU (threads: {torch.get_num_threads()})" if device.type == "cpu" else device.type

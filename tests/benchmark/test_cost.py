@@ -12,7 +12,7 @@ from omegaconf import OmegaConf
 
 from launch.benchmark import main
 from rfpp.benchmark.case import Case
-from rfpp.benchmark.cost import QUANTITIES, Repetitions, Untrained, _flops, measure
+from rfpp.benchmark.cost import QUANTITIES, Untrained, _flops, measure
 from rfpp.commands import CONFIG_DIR
 from rfpp.errors import UserError
 from rfpp.training.plan import ACCELERATIONS
@@ -38,7 +38,7 @@ def measured(*overrides, benchmark="cost"):
 
 def test_every_quantity_of_both_networks_has_a_row_that_is_not_measured_again(tmp_path):
     path = tmp_path / "cost.csv"
-    cfg = config(*SMALLEST, *SMALL, ALL, "benchmark.repetitions.seconds=0.01", f"output={path}")
+    cfg = config(*SMALLEST, *SMALL, ALL, "benchmark.seconds=0.01", f"output={path}")
     main.__wrapped__(cfg)
     written = path.read_text()
     rows = list(csv.DictReader(written.splitlines()))
@@ -58,7 +58,7 @@ def test_every_quantity_of_both_networks_has_a_row_that_is_not_measured_again(tm
 def test_a_long_round_is_not_repeated():
     parts = instantiate(config(*SMALLEST).benchmark.training, _convert_="all")
     group = {"quantities": ["encode"]}
-    rows = list(measure(NETWORKS, "tiny", parts, CASE, [group], "cpu", Repetitions(0, 0), None, lambda *_: None))
+    rows = list(measure(NETWORKS, "tiny", parts, CASE, [group], "cpu", 0, 0, None, lambda *_: None))
     assert [row["rounds"] for row in rows] == [1, 1]
 
 
@@ -112,7 +112,7 @@ def test_without_a_gpu_it_is_one_line(monkeypatch):
 @requires_gpu
 def test_rows_of_a_gpu_have_kernels():
     groups = "benchmark.groups=[{quantities: [training_step, view], triangles: 200, objects: 5, resolution: 32}]"
-    rows = measured(groups, "benchmark.repetitions.seconds=0.01", benchmark="gpu")
+    rows = measured(groups, "benchmark.seconds=0.01", benchmark="gpu")
     found = [(row["network"], row["quantity"], row["status"]) for row in rows]
     assert found == [(n, q, "ok") for n in ("RenderFormer", "RenderFormer++") for q in ("training_step", "view")]
     assert all(row["kernels"] > 100 and row["seconds"] > 0 for row in rows)

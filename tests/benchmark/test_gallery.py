@@ -9,21 +9,13 @@ from PIL import Image
 from small_data import REFERENCE, BoxFamily
 
 from rfpp.benchmark import methods
-from rfpp.benchmark.exhibits import sampled, stored
+from rfpp.benchmark.exhibits import sampled
 from rfpp.benchmark.gallery import affordable, measure
 from rfpp.benchmark.methods import errors
-from rfpp.commands import CONFIG_DIR
 from rfpp.inference.renderer import Renderer
 from rfpp.scene.packed import pack
 
 EXHIBITS = {"six": pack(scene()).views([0]), "drawn": sampled(BoxFamily(), 0)}
-
-
-@pytest.mark.parametrize("path", sorted((CONFIG_DIR.parent / "data/scenes").glob("*.json")), ids=lambda path: path.stem)
-def test_shipped_scenes_lie_in_the_unit_box(path):
-    triangles = stored(str(path)).triangles
-    assert triangles.is_emissive.any()
-    assert np.abs(triangles.positions[~triangles.is_emissive]).max() <= 0.5 + 1e-6
 
 
 def test_the_largest_affordable_sample_count():

@@ -18,16 +18,6 @@ CLUSTER = Cluster(
 )  # fmt: skip
 
 
-def test_one_device_neither_waits_nor_communicates():
-    time = step_time(CLUSTER, WORK, 1)
-    assert (time.compute, time.waiting, time.communication) == pytest.approx((16 * 3 + 0.5, 0, 0))
-    assert time.total == time.compute
-
-
-def test_accumulated_batches_cost_their_fixed_time_each():
-    assert step_time(CLUSTER, replace(WORK, scenes_at_once=3), 4).compute == pytest.approx(4 * 3 + 2 * 0.5)
-
-
 def relative_load(sizes: np.ndarray, devices: int, share: int, partition: Partition) -> float:
     """Return the load of the slowest device, with operations proportional to triangles."""
     work = replace(WORK, triangles=sizes, scene_flops=sizes.astype(float), scenes=devices * share, partition=partition)
@@ -51,10 +41,6 @@ def test_a_ring_moves_each_byte_nearly_twice():
     assert all_reduce_seconds(CLUSTER, 8e8, 1) == 0
     assert all_reduce_seconds(CLUSTER, 8e8, 2) == pytest.approx(8e8 / 1e11)
     assert all_reduce_seconds(CLUSTER, 8e8, 8) == pytest.approx(2 * 7 / 8 * 8e8 / 1e11)
-
-
-def test_all_reduce_between_nodes_uses_the_network():
-    assert all_reduce_seconds(CLUSTER, 8e8, 16) == pytest.approx((2 * 7 / 8 / 1e11 + 1 / 1e10) * 8e8)
 
 
 def test_communication_overlaps_with_the_backward_pass_except_for_the_last_bucket():

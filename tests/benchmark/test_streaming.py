@@ -6,6 +6,7 @@ import pytest
 from small_data import REFERENCE, SETTINGS, BoxFamily, make
 
 from rfpp.benchmark.streaming import PAPER_IMAGES_PER_SECOND, SyntheticData, measure
+from rfpp.inference.radiosity_labels import RadiosityLabels
 from rfpp.reference.farm import RenderFarm
 from rfpp.shards.cache import ShardCache
 from rfpp.shards.dataset import ShardSplit
@@ -14,10 +15,12 @@ from rfpp.training.batching import Batching, Contiguous
 from rfpp.training.datamodule import SceneDataModule
 from rfpp.training.source import DataSource
 
+LABELS = RadiosityLabels(REFERENCE, light_samples=1, points=1, token_bounces=None, seed=0)
+
 
 @pytest.fixture
 def synthetic():
-    return SyntheticData(BoxFamily(), SETTINGS, REFERENCE, RenderFarm(workers=1), scenes=3)
+    return SyntheticData(BoxFamily(), SETTINGS, LABELS, RenderFarm(workers=1), scenes=3)
 
 
 SOURCE = partial(

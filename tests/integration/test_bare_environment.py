@@ -105,7 +105,7 @@ def test_a_command_prints_its_help(bare):
 
 
 def test_benchmarks_other_than_plots_are_importable(bare):
-    need_more = {"equal_time_plot", "plotting"}
+    need_more = {"equal_time_plot"}
     folder = ROOT / "rfpp" / "benchmark"
     files = [path.relative_to(folder).with_suffix("") for path in folder.rglob("*.py") if path.stem != "__init__"]
     names = sorted({".".join(file.parts) for file in files} - need_more)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from known_scenes import LIGHT, box, material, moved, pack, rigid_motion, sphere, square, still_life
 
-from rfpp.radiosity.cell_finding import cells_at, find_cells
+from rfpp.radiosity.cell_finding import cells_at
 from rfpp.radiosity.cell_grid import principal_axes
 from rfpp.radiosity.cell_places import find_places
 from rfpp.radiosity.cell_table import NOWHERE
@@ -74,16 +74,14 @@ def test_light_arrives_at_the_side_that_is_lit_and_not_in_shadows():
 
 def test_light_is_linear_and_the_same_scene_gives_the_same_cells():
     scene = still_life()
-    cells, bright = find_cells(LightSampler(scene))[0], scene.material.copy()
+    cells, bright = Placed(scene).cells, scene.material.copy()
     bright[:, EMISSION] *= 3
-    lit = find_cells(LightSampler(replace(scene, material=bright)))[0]
+    lit = Placed(replace(scene, material=bright)).cells
     np.testing.assert_allclose(lit.direct, 3 * cells.direct, rtol=1e-5)
     np.testing.assert_allclose(lit.bounced, 3 * cells.bounced, rtol=1e-5)
     assert cells.bounced.any()
     for name in ("hits", "onward", "direct", "bounced"):
-        np.testing.assert_array_equal(
-            getattr(find_cells(LightSampler(scene))[0], name), getattr(cells, name), err_msg=name
-        )
+        np.testing.assert_array_equal(getattr(Placed(scene).cells, name), getattr(cells, name), err_msg=name)
 
 
 def test_cells_move_with_their_objects():

@@ -7,7 +7,6 @@ import pytest
 from known_scenes import box, look_at, material, pack, sphere, square
 from slow_light import direct_light
 
-from rfpp.radiosity.cell_finding import find_cells
 from rfpp.radiosity.cell_places import find_places
 from rfpp.radiosity.cell_table import NOWHERE
 from rfpp.radiosity.pixel_rays import MOST_RAYS, SeenCells, see_cells
@@ -178,7 +177,7 @@ def test_bounced_light_knows_shadows_within_a_cell():
         way = wall.point - point
         distance = np.linalg.norm(way, axis=-1)
         way /= distance[:, None]
-        clear = ~RayCaster(scene.positions).occluded(np.broadcast_to(point, way.shape), way, distance - 2e-4)
+        clear = RayCaster(scene.positions).cast(np.broadcast_to(point, way.shape), way).distance >= distance - 2e-4
         arriving.append(np.mean(leaving * clear * way[:, 2] * way[:, 0] / (np.pi * distance**2)))
     assert seen == pytest.approx(np.mean(arriving), rel=0.05)
 
@@ -198,7 +197,7 @@ def test_rays_take_turns_with_many_lights_whose_light_is_still_the_sum_of_theirs
 
     scene = lamps(range(10))
     sampler, seen = LightSampler(scene), first_hit(scene, camera, FOV, SIDE, SIDE)
-    places = find_cells(sampler)[1]
+    places = find_places(sampler.triangles, sampler.caster).map
     whole, *parts = (
         see_cells(seen, camera, FOV, of, places).bounced for of in (sampler, *map(sampler.only, sampler.names))
     )
@@ -211,7 +210,7 @@ def test_surfaces_that_touch_are_not_seen_from_where_they_touch():
     sampler = LightSampler(pack((square(1.0), material(0.2, specular=0.9, roughness=1.0)), lamp))
     origin, way = np.array([[0, 0, 0.0], [0, 0, 0.5]] * 200), np.array([[0, 0, -1.0]] * 400)
     rng = np.random.default_rng(0)
-    ends = follow_rays(sampler, find_cells(sampler)[1], origin, way, np.ones(400), rng)
+    ends = follow_rays(sampler, find_places(sampler.triangles, sampler.caster).map, origin, way, np.ones(400), rng)
     touching, away = ends.light[::2], ends.light[1::2]
     assert not touching.any() and (away > 0).any() and np.isfinite(away).all()
     assert (ends.onward[::2] == NOWHERE).all()

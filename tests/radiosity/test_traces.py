@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from known_scenes import box, look_at, material, pack, square
 
-from rfpp.radiosity.cell_finding import cells_at, find_cells
+from rfpp.radiosity.cell_finding import cells_at
 from rfpp.radiosity.cell_places import find_places
 from rfpp.radiosity.pixel_rays import see_cells
 from rfpp.raycast.first_hit import first_hit
@@ -84,7 +84,7 @@ def test_nothing_is_recorded_and_nothing_changes_where_nobody_asks():
     quiet, traced = (with_known_light(seen, CAMERA, FOV, sampler, 8, traced=wanted) for wanted in (False, True))
     assert quiet.reflection.trace is None
     np.testing.assert_array_equal(quiet.reflection.light, traced.reflection.light)
-    places = find_cells(sampler)[1]
+    places = find_places(sampler.triangles, sampler.caster).map
     assert see_cells(seen, CAMERA, FOV, sampler, places).trace is None
 
 

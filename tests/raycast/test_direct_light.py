@@ -10,7 +10,7 @@ from reference_presets import preset
 from scene_families import draw, family
 from slow_light import direct_light
 
-from rfpp.raycast import known_light, surface, threads
+from rfpp.raycast import surface, threads
 from rfpp.raycast.first_hit import DirectLight, GBuffer, channel, first_hit, stack_channels
 from rfpp.raycast.known_light import with_known_light
 from rfpp.raycast.light_sampler import LightSampler
@@ -140,27 +140,6 @@ def test_a_lamp_around_the_scene_is_no_solid():
     assert not LightSampler(pack((square(2), material(0.5)), room)).scene.solid.any()
 
 
-@pytest.mark.parametrize("lamp", ["tetrahedron", "inside out"])
-def test_light_of_a_solid_lamp_carries_no_noise(lamp):
-    scene = pack((square(2), material(0.5)), (LAMPS[lamp], material(1.0, emission=20.0)))
-    np.testing.assert_array_equal(light(scene, samples=1).diffuse, light(scene, samples=8, seed=3).diffuse)
-
-
-@pytest.mark.parametrize("away", [1.0, 1e-2, 1e-5, 1e-8, 1e-11])
-def test_the_formula_is_that_of_arctangents_also_beside_an_edge(away):
-    """Between the corners of an edge that lies all but in the point, where the angle is nearly a half turn."""
-    rng = np.random.default_rng(0)
-    points = np.stack([rng.uniform(-0.9, 0.9, 50), np.full(50, -1.0 - away), np.full(50, 1.0 - away)], axis=-1)
-    normals = np.tile([0.0, 0.0, 1.0], (50, 1))
-    lamp = np.array([[[-1, -1, 1], [1, -1, 1], [0, 1, 1.5]]])
-    ways = lamp[0] - points[:, None]
-    after = np.roll(ways, -1, axis=1)
-    across = np.cross(ways, after)
-    sine = np.linalg.norm(across, axis=-1)
-    expected = np.abs((np.arctan2(sine, (ways * after).sum(-1)) * across[..., 2] / sine).sum(-1)) / (2 * np.pi)
-    np.testing.assert_allclose(form_factor(points, normals, lamp)[:, 0], expected, rtol=1e-6, atol=1e-8)
-
-
 @pytest.mark.parametrize("lamp", [TETRAHEDRON, TETRAHEDRON[:, ::-1], square(1.0)], ids=["solid", "inside out", "flat"])
 def test_light_at_many_points_at_once_is_that_at_each(lamp):
     rng = np.random.default_rng(0)
@@ -236,23 +215,6 @@ def test_the_seed_decides_and_the_number_of_threads_does_not(monkeypatch):
     monkeypatch.setattr(threads, "cores", lambda: 7)
     np.testing.assert_array_equal(light(scene).glossy, first.glossy)
     np.testing.assert_array_equal(light(scene).diffuse, first.diffuse)
-
-
-def test_all_samples_are_spent_only_at_the_edges_of_shadows_and_in_highlights(monkeypatch):
-    scene, asked = still_life(), []
-
-    def watched(count, loop, scene, *arguments):
-        if loop is known_light.light_samples and arguments[2] > 0:  # the second time round
-            asked.append(arguments[4].mean())
-        threads.over_rows(count, loop, scene, *arguments)
-
-    monkeypatch.setattr(known_light, "over_rows", watched)
-    adaptive = light(scene, samples=64, size=64)
-    monkeypatch.setattr(known_light, "_PROBES", 64)
-    everywhere = light(scene, samples=64, size=64)
-    assert len(asked) == 2 and 0.02 < np.mean(asked) < 0.6
-    assert relative_error(adaptive.diffuse, everywhere.diffuse) < 0.01
-    assert relative_error(adaptive.glossy, everywhere.glossy) < 0.02
 
 
 def test_a_scene_without_light_is_dark_and_channels_carry_the_light():

@@ -35,16 +35,9 @@ def test_the_nearest_triangle_wins_and_both_sides_count():
     assert hits.triangle[3] == -1 and not hits.barycentric[3].any()
 
 
-def test_occlusion_respects_the_distance():
-    caster = RayCaster(square(z=1).astype(np.float32))
-    origins, up = np.zeros((2, 3), np.float32), np.array([[0, 0, 1], [0, 0, 1]], np.float32)
-    assert caster.occluded(origins, up, np.array([0.9, 1.1], np.float32)).tolist() == [False, True]
-
-
 def test_no_triangles_and_no_rays():
     empty, rays = RayCaster(np.zeros((0, 3, 3), np.float32)), np.ones((3, 3), np.float32)
     assert empty.cast(rays, rays).triangle.tolist() == [-1, -1, -1]
-    assert not empty.occluded(rays, rays, np.ones(3, np.float32)).any()
     none = np.zeros((0, 3), np.float32)
     assert len(RayCaster(square().astype(np.float32)).cast(none, none).triangle) == 0
 

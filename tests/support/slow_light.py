@@ -28,7 +28,7 @@ def direct_light(scene: SceneTriangles, surface: Surface, samples: int, rng: np.
             distance = np.linalg.norm(way, axis=-1)
             way /= distance[:, None]
             light = np.einsum("rkx,rx->rk", frame, way)
-            clear = ~caster.occluded(surface.point, way, distance - CLEARANCE) & (light[:, 2] > 0)
+            clear = (caster.cast(surface.point, way).distance >= distance - CLEARANCE) & (light[:, 2] > 0)
             solid = np.abs(way @ cross) / 2 / distance**2 * clear / samples
             radiance = scene.material[emitter, EMISSION].astype(np.float64)
             found[0] += (solid * light[:, 2] / np.pi)[:, None] * radiance

@@ -24,7 +24,11 @@ def write_records(
         images += [{**where, "view": n, "predictor": r.predictor, **view} for n, view in enumerate(r.views)]
         sizes = {"triangles": r.triangles, "objects": r.objects, "lights": r.lights}
         scenes.append({**where, **sizes, "predictor": r.predictor, **r.values})
-    summary = [{"split": split, "predictor": who, **_columns(values)} for (split, who), values in means.items()]
+    summary = []
+    for (split, who), values in means.items():
+        summary.append({"split": split, "predictor": who, "scenes": next(iter(values.values())).scenes})
+        for name, estimate in values.items():
+            summary[-1] |= {name: estimate.mean, f"{name}_low": estimate.low, f"{name}_high": estimate.high}
     tables = {"images.csv": images, "scenes.csv": scenes, "summary.csv": summary}
     return [write_rows(folder / name, rows) for name, rows in tables.items()]
 
@@ -39,10 +43,3 @@ def write_rows(path: Path, rows: Sequence[Row]) -> Path:
         cells = [row.get(name) for name in names]
         writer.writerow(f"{cell:.7g}" if isinstance(cell, float) else cell for cell in cells)
     return write_atomically(path, stream.getvalue().encode())
-
-
-def _columns(values: Estimates) -> dict[str, int | float]:
-    columns: dict[str, int | float] = {"scenes": next(iter(values.values())).scenes}
-    for name, estimate in values.items():
-        columns |= {name: estimate.mean, f"{name}_low": estimate.low, f"{name}_high": estimate.high}
-    return columns

@@ -19,7 +19,7 @@ def score(
     split: ShardSplit,
     metrics: ImageMetrics,
     device: torch.device,
-    on_scene: Callable[[], None] = lambda: None,
+    progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> list[SceneRecord]:
     """Score every predictor on every scene of a split.
 
@@ -31,6 +31,7 @@ def score(
         raise ShardError(f"{split.manifest.root}: split '{split.split}' is empty: choose another in evaluation.splits")
     records = []
     for index in range(len(split)):
+        progress(index, len(split))
         scene = StoredScene.of(split[index], device)
         triangles = scene.sample.triangles
         sizes = (len(triangles), triangles.num_objects, triangles.num_lights)
@@ -39,5 +40,5 @@ def score(
             columns = zip(*(column.tolist() for column in values.values()), strict=True)
             views = [dict(zip(values, numbers, strict=True)) for numbers in columns]
             records.append(SceneRecord(split.split, scene.sample.key, *sizes, predictor.name, views))
-        on_scene()
+    progress(len(split), len(split))
     return records

@@ -224,13 +224,6 @@ def test_patches_are_read_piece_by_piece(tmp_path, monkeypatch):
         assert all(np.array_equal(materials[t.tobytes()], m) for t, m in found)
 
 
-def test_patches_in_full_precision_are_materials_in_full_precision(tmp_path):
-    scene = load_scene(write(tmp_path / "room.h5", texture=patches(dtype=np.float32)))
-    found = {t.tobytes(): m for t, m in zip(scene.triangles.positions, scene.triangles.material, strict=True)}
-    assert scene.texture is None
-    np.testing.assert_array_equal([found[t.tobytes()] for t in SCENE.positions], SCENE.material)
-
-
 def test_absurd_sizes_are_not_believed(tmp_path):
     path = write(tmp_path / "absurd.h5")
     for name, shape in (
@@ -280,12 +273,3 @@ def test_nothing_waits_for_a_pipe(tmp_path):
         load_scene(path)
     with pytest.raises(SceneError, match=r"pipe\.h5: is not a regular file"):
         load_scene(pipe)
-
-
-def test_words_are_no_numbers(tmp_path):
-    path = write(tmp_path / "words.h5")
-    with h5py.File(path, "a") as file:
-        del file["fov"]
-        file["fov"] = ["wide", "narrow"]
-    with pytest.raises(SceneError, match=r"words\.h5: fov: object where an array of numbers was expected"):
-        load_scene(path)
