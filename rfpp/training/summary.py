@@ -37,8 +37,8 @@ def start_summary(
         f"Data     {data.root}: {data.counts['scenes']} scenes, {data.counts['images']} images "
         f"of {cfg['data']['resolution']}² (manifest {data.hash[:12]})\n"
         f"Steps    {cfg['steps']} of {scenes} scenes x {views} views = {scenes * views} images\n"
-        f"Devices  {plan.ranks} x {hardware(device)}, {share} scenes each, {share // plan.accumulate_grad_batches} at a "
-        f"time, {plan.precision}\n"
+        f"Devices  {plan.ranks} x {hardware(device)}, {share} scenes each, {share // plan.accumulate_grad_batches} "
+        f"at a time, {plan.precision}\n"
         f"Writes   {cfg['run_dir']}, {logger.location}"
     )
 
