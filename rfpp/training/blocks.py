@@ -14,7 +14,6 @@ from rfpp.batch import RaggedBatch
 from rfpp.errors import UserError
 from rfpp.model.dpt import DPTHead
 from rfpp.model.hoct import ObjectTokens
-from rfpp.model.layers import attention
 from rfpp.model.layers.block import CrossBlock, SelfBlock
 from rfpp.model.layers.scene_tokens import SceneTokens
 from rfpp.model.renderformer_pp import RenderFormerPP
@@ -24,10 +23,9 @@ from rfpp.model.view_decoder import DecoderBlock
 def compile_blocks(network: nn.Module) -> None:
     """Compile every block for any number of tokens, and the image head; without gradients they run as they are.
 
-    Blocks of one kind share their compiled code. The rest of a network plans ragged attention and is not compiled.
+    Blocks of one kind share their compiled code. For GPUs in bfloat16, whose attention is a fused kernel: elsewhere it is
+    planned with NumPy, which cannot be compiled.
     """
-    # it plans with NumPy and calls fused kernels; disabled here, because the decorator imports the compiler
-    attention.attend_bucketed = torch.compiler.disable(attention.attend_bucketed)
     for block in _blocks(network):
         block.forward = _in_training(block.forward, torch.compile(block.forward, dynamic=True))
     for part in network.modules():

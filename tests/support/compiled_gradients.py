@@ -8,6 +8,7 @@ from networks import network
 from random_scenes import random_views
 
 from rfpp.batch import RaggedBatch
+from rfpp.model.layers import attention
 from rfpp.training import blocks
 
 #: Triangles of the objects of the scenes of each batch.
@@ -31,6 +32,7 @@ def compare() -> tuple[list[float], list[int]]:
 
     counter = CompileCounterWithBackend("aot_eager")  # the tracing is ours to get right; machine code takes a minute
     torch.compile = partial(torch.compile, backend=counter)
+    attention.attend_bucketed = torch.compiler.disable(attention.attend_bucketed)  # stands for a GPU's fused kernel
     net, compiled = (network("experiment=large_scale", "size=tiny").train() for _ in range(2))
     blocks.compile_blocks(compiled)
     differences, compilations = [], []
