@@ -23,8 +23,8 @@ from rfpp.model.view_decoder import DecoderBlock
 def compile_blocks(network: nn.Module) -> None:
     """Compile every block for any number of tokens, and the image head; without gradients they run as they are.
 
-    Blocks of one kind share their compiled code. For GPUs in bfloat16, whose attention is a fused kernel: elsewhere it is
-    planned with NumPy, which cannot be compiled.
+    Blocks of one kind share their compiled code. For GPUs in bfloat16, whose attention is a fused kernel: elsewhere
+    it is planned with NumPy, which cannot be compiled.
     """
     for block in _blocks(network):
         block.forward = _in_training(block.forward, torch.compile(block.forward, dynamic=True))
