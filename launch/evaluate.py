@@ -26,7 +26,7 @@ from rfpp.evaluation.measuring.evaluation_file import Evaluation
 from rfpp.evaluation.measuring.network_checks import ablation_growth, transport_convergence
 from rfpp.evaluation.measuring.number_text import ablation_text
 from rfpp.evaluation.measuring.predictors import NetworkPredictor, fitted_baselines, predictor_of
-from rfpp.evaluation.measuring.records import SceneRecord
+from rfpp.evaluation.measuring.records import MODEL, SceneRecord
 from rfpp.evaluation.report.evaluation_report import write_report
 from rfpp.evaluation.report.pictures import pictured_scenes, save_panel
 from rfpp.evaluation.tables.terminal import results_table
@@ -107,8 +107,11 @@ def _evaluate(
     files = [*write_records(records, means, output), evaluation.write(output), *panels, write_config(cfg, output)]
     report = write_report(evaluation, records, pictured, output)
     console.print(results_table(means))
-    for name, growth in checks["ablation"].items():
-        if growth:
+    for name in (split.split for split in splits):
+        error = {who: values["log_l1"].mean for (of, who), values in means.items() if of == name}
+        compared = (f"{error[MODEL] / error[who] - 1:+.0%} against {who}" for who in error if who != MODEL)
+        console.print(f"{name}: log-L1 {', '.join(compared)}", soft_wrap=True)
+        if growth := checks["ablation"].get(name):
             console.print(f"{name}: {ablation_text(growth)}", soft_wrap=True)
     console.print(f"Report: {report}", soft_wrap=True)
     console.print(f"Per image, per scene, summary and panels: {output}", soft_wrap=True)
