@@ -1,4 +1,4 @@
-"""Light where it is hard: near a ceiling, through a window, in furnaces, behind a wall.
+"""Light where it is hard: near a ceiling, in a Cornell box, through a window, in furnaces, behind a wall.
 
 `mitsuba_light_below_ceiling.npz` holds images of 32² pixels of four scenes of `benchmark=outside`, rendered by Mitsuba
 3.9.1 (`path`, 128², 128 samples, averaged over 4 × 4 pixels).
@@ -11,7 +11,9 @@ import pytest
 import torch
 
 from rfpp.benchmark.mitsuba_reference import sees_emitters
+from rfpp.benchmark.outside import _agreement
 from rfpp.commands import CONFIG_DIR
+from rfpp.imaging.exr import read_exr
 from rfpp.inference.gbuffers import GBufferSource
 from rfpp.inference.plan import Plan
 from rfpp.inference.radiosity_engine import RadiosityEngine
@@ -39,6 +41,14 @@ def test_a_light_below_a_ceiling(gap):
     image = render(scene)[0].reshape(32, 2, 32, 2, 3).mean((1, 3))
     unmasked = ~sees_emitters(scene, 0, 32)
     assert image[unmasked].sum() == pytest.approx(expected[unmasked].sum(), rel=0.05)
+
+
+@pytest.mark.parametrize("sides", ["one", "two"])
+def test_bitterlis_cornell_box(sides):
+    scene, expected = load(f"cornell_box_{sides}_sided"), read_exr(SCENES / f"cornell_box_{sides}_sided.exr")["RGB"]
+    agreement = _agreement(render(scene, 128)[0], expected, sees_emitters(scene, 0, 128), expected)
+    assert agreement["energy"] == pytest.approx(1, abs=0.02)
+    assert agreement["relative_l1"] < 0.055
 
 
 @pytest.mark.parametrize("albedo", [0.5, 0.8])

@@ -146,11 +146,6 @@ def test_control_c_reaches_no_worker_not_even_one_that_is_being_started():
         interrupted.result()
 
 
-def test_a_single_worker_gets_all_cores():
-    with RenderFarm(1) as farm:
-        assert dict(farm.map(affinity, [0]))[0] == os.sched_getaffinity(0)
-
-
 def test_workers_are_recycled():
     with RenderFarm(1, jobs_per_worker=2) as farm:
         ids = [pid for _, pid in farm.map(process_id, range(5))]
