@@ -11,6 +11,7 @@ import torch
 from torch import Tensor, nn
 from torch.optim import Optimizer
 from torch.optim.lr_scheduler import LRScheduler
+from torchmetrics import MeanMetric
 
 from rfpp.batch import RaggedBatch
 from rfpp.checkpoint.loading import CHECKPOINT_KEY, CheckpointInfo
@@ -42,6 +43,8 @@ class RenderingModule(L.LightningModule):
         super().__init__()
         self.network, self.loss, self.metrics, self.info = network, loss, metrics, info
         self.step, self._optimizer, self._schedule = step, optimizer, schedule
+        # sums and counts over all ranks: Lightning's own means differ where ranks have unequal numbers of images
+        self.validation = nn.ModuleDict({name: MeanMetric().set_dtype(torch.float64) for name in metrics.names})
 
     def forward(self, batch: RaggedBatch) -> Rendering:
         return self.network(batch)
@@ -62,7 +65,8 @@ class RenderingModule(L.LightningModule):
         """Log all metrics; return `radiance` [B, V, 3, H, W] for callbacks."""
         radiance = log_decode(self(batch).log_radiance)
         for name, per_image in self.metrics(radiance.flatten(0, 1), batch.image.flatten(0, 1)).items():
-            self.log(f"validation/{name}", per_image.mean(), batch_size=len(per_image), sync_dist=True)
+            self.validation[name].update(per_image.double())
+            self.log(f"validation/{name}", self.validation[name])
         return {"radiance": radiance}
 
     def configure_optimizers(self) -> dict[str, Any]:

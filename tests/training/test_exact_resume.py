@@ -10,14 +10,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from small_data import make
+from small_data import BoxFamily, make
 from training_runs import differing, finish, output, start, train, wait_for_step
 
 from rfpp.training.checkpoint_files import step_file, step_files
 from rfpp.training.tracking.journal import JOURNAL, records
 
 STEPS = 10
-RUN = (f"steps={STEPS}", "trainer.val_check_interval=4")
+RUN = (f"steps={STEPS}", "trainer.val_check_interval=4", "datamodule.source.validation_scenes=3")
 #: Where summing in another order may not be magnified, as Adam does with gradients near zero.
 PLAIN_DESCENT = ("optimizer._target_=torch.optim.SGD", "optimizer.lr=0.3", "trainer.precision=32-true")
 LOGGED = {"train/loss", "validation/log_l1"}
@@ -26,8 +26,8 @@ PRECISIONS = {"fp32": ("trainer.precision=32-true",), "bf16": ("trainer.precisio
 
 @pytest.fixture(scope="module")
 def data(tmp_path_factory) -> Path:
-    splits = {"train": 7, "validation": 2}
-    return Path(make(tmp_path_factory.mktemp("data") / "small", splits=splits).root)
+    root, splits = tmp_path_factory.mktemp("data") / "small", {"train": 7, "validation": 3}
+    return Path(make(root, BoxFamily(views=1), splits=splits, views=1).root)
 
 
 @pytest.fixture(scope="module")
@@ -39,7 +39,7 @@ def folder(tmp_path_factory) -> Path:
 def uninterrupted(folder, data):
     """The run folder of each precision; three checkpoints are in it."""
     for name, settings in PRECISIONS.items():
-        train(folder / name, data, *RUN, *settings)
+        train(folder / name, data, *RUN, *PLAIN_DESCENT, *exploding)
     return {name: folder / name for name in PRECISIONS}
 
 
@@ -63,6 +63,11 @@ def weights(checkpoint: dict) -> torch.Tensor:
     return torch.cat([w.flatten() for name, w in sorted(checkpoint["state_dict"].items())])
 
 
+def best_score(checkpoint: dict) -> float:
+    [score] = [s["best_model_score"] for s in checkpoint["callbacks"].values() if "best_model_score" in s]
+    return float(score)
+
+
 @pytest.mark.parametrize("precision", PRECISIONS)
 def test_killed_at_random_moments_it_ends_with_the_same_bits(precision, uninterrupted, data, folder):
     run_dir, rng = folder / f"killed-{precision}", np.random.default_rng(len(precision))
@@ -76,10 +81,7 @@ def test_killed_at_random_moments_it_ends_with_the_same_bits(precision, uninterr
     whole = last(uninterrupted[precision])
     assert ended["global_step"] == STEPS
     assert differing(ended, whole) == [], output(run_dir)
-    scores = [
-        [s["best_model_score"] for s in c["callbacks"].values() if "best_model_score" in s] for c in (ended, whole)
-    ]
-    assert len(scores[0]) == 1 and scores[0] == scores[1]
+    assert best_score(ended) == best_score(whole)
     assert logged(run_dir) == logged(uninterrupted[precision])
     assert [step for step, name, _ in logged(run_dir) if name == "train/loss"] == list(range(STEPS))
     assert not list((run_dir / "checkpoints").glob(".*"))
@@ -103,7 +105,8 @@ def test_a_truncated_newest_checkpoint_is_skipped(uninterrupted, data, folder):
 def test_one_global_batch_is_one_step_however_it_is_divided(how, folder, data, two_ranks, request):
     alone = request.getfixturevalue("alone")
     if how == "two ranks":
-        other = two_ranks
+        other = two_ranks  # which share three validation scenes
+        assert best_score(other) == pytest.approx(best_score(last(alone)), rel=1e-4)
     elif how == "accumulated":
         other = train(folder / "parts", data, *RUN, *PLAIN_DESCENT, "datamodule.batching.scenes_per_device=2")
     else:
@@ -164,13 +167,8 @@ def test_ranks_agree_on_checkpoints_by_time(folder, data):
 
 def test_a_loss_that_is_not_finite_stops_training_and_names_its_scenes(folder, data):
     run_dir = folder / "exploding"
-    settings = (
-        *PLAIN_DESCENT,
-        "optimizer.lr=1e30",
-        "schedule.warmup_steps=1",
-        "datamodule.batching.scenes_per_device=2",
-    )
-    assert finish(start(run_dir, data, *RUN, *settings)) == [1]
+    exploding = ("optimizer.lr=1e30", "schedule.warmup_steps=1", "datamodule.batching.scenes_per_device=2")
+    assert finish(start(run_dir, data, *RUN, *PLAIN_DESCENT, *exploding)) == [1]
     errors = [line for line in output(run_dir).splitlines() if line.startswith("error: ")]
     (path,) = (run_dir / "non_finite").iterdir()
     step = int(path.name.split("-")[1])
