@@ -39,7 +39,7 @@ def folder(tmp_path_factory) -> Path:
 def uninterrupted(folder, data):
     """The run folder of each precision; three checkpoints are in it."""
     for name, settings in PRECISIONS.items():
-        train(folder / name, data, *RUN, *PLAIN_DESCENT, *exploding)
+        train(folder / name, data, *RUN, *settings)
     return {name: folder / name for name in PRECISIONS}
 
 
