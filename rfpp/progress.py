@@ -10,18 +10,14 @@ from datetime import timedelta
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, Task, TextColumn, TimeRemainingColumn
 
+#: Things before the first line, which gives a first estimate of the time, and seconds between lines.
+_FIRST_AFTER, _SECONDS_BETWEEN = 10, 60.0
 
-class Count:
-    """Progress so far: `done` things of `total`; `before` of them were done at the start."""
 
-    def __init__(self) -> None:
-        self.done = self.total = 0
-        self.before: int | None = None
-
-    @property
-    def made(self) -> int:
-        """Things done since the start."""
-        return self.done - (self.before or 0)
+class _PerSecond(ProgressColumn):
+    def render(self, task: Task) -> str:
+        made = task.completed - task.fields["before"]
+        return f"{made / task.elapsed:.1f} {task.description}/s" if made and task.elapsed else "starting"
 
 
 @contextmanager
@@ -35,65 +31,45 @@ def counting(console: Console, things: str, each: int = 1) -> Iterator[tuple[Cal
         each: Number of things per step of the work.
     """
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), _PerSecond())
-    note_column = TextColumn("{task.fields[note]}")
-    with Progress(*columns, TimeRemainingColumn(), note_column, console=console) as progress:
-        count, bars, notes = Count(), [], [""]
-        lines = None if console.is_terminal else ProgressLines(things, console.print)
-
-        def show(done: int, total: int, note: str | None = None) -> None:
-            count.done, count.total = done, total
-            if note is not None:
-                notes[0] = note
-            if not bars:
-                count.before = done
-                fields = {"total": total * each, "before": done * each, "visible": done < total, "note": ""}
-                bars.append(progress.add_task(things, **fields))
-            progress.update(bars[0], completed=done * each, note=notes[0])
-            if lines:
-                lines(done * each, total * each, notes[0])
-
-        yield show, count
+    note = TextColumn("{task.fields[note]}")
+    with Progress(*columns, TimeRemainingColumn(), note, console=console) as progress:
+        count = Count(progress, things, each)
+        yield count.show, count
 
 
-class ProgressLines:
-    """Writes a line per minute: the count, the speed, and the remaining time.
+class Count:
+    """Progress so far: `done` steps of `total`; `before` of them were done at the start."""
 
-    Args:
-        things: Name of what is counted, in the plural.
-        first_after: Number of things before the first line, which gives a first estimate of the time.
-        clock: Function that returns the time in seconds.
-    """
+    def __init__(self, progress: Progress, things: str, each: int, clock: Callable[[], float] = time.monotonic):
+        self.done = self.total = 0
+        self.before: int | None = None
+        self._progress, self._things, self._each, self._clock = progress, things, each, clock
+        self._note, self._last_line = "", None
 
-    def __init__(
-        self,
-        things: str,
-        write: Callable[[str], object],
-        every_n_seconds: float = 60.0,
-        first_after: int = 10,
-        clock: Callable[[], float] = time.monotonic,
-    ):
-        self.things, self.write, self.clock = things, write, clock
-        self.every_n_seconds, self.first_after = every_n_seconds, first_after
-        self._start: tuple[float, int] | None = None
-        self._last_line: float | None = None
+    @property
+    def made(self) -> int:
+        """Steps done since the start."""
+        return self.done - (self.before or 0)
 
-    def __call__(self, done: int, total: int, note: str = "") -> None:
-        """Report progress; the first call gives the count that was done before."""
-        now = self.clock()
-        if self._start is None:
-            self._start = now, done
-        start, before = self._start
-        new, elapsed = done - before, now - start
-        early = new < self.first_after if self._last_line is None else now - self._last_line < self.every_n_seconds
-        if not new or early or done >= total:
-            return
-        self._last_line = now
-        remaining = timedelta(seconds=round((total - done) * elapsed / new))
-        speed = f"{new / elapsed:.2g} per second, " if elapsed else ""
-        self.write(f"{self.things} {done} of {total}, {speed}about {remaining} left{note and f', {note}'}")
+    def show(self, done: int, total: int, note: str | None = None) -> None:
+        """Update the bar; write a line if it is time for one and no terminal shows the bar."""
+        self.done, self.total, self._note = done, total, self._note if note is None else note
+        if self.before is None:
+            self.before, self._begin = done, self._clock()
+            fields = {"total": total * self._each, "before": done * self._each, "visible": done < total, "note": ""}
+            self._task = self._progress.add_task(self._things, **fields)
+        self._progress.update(self._task, completed=done * self._each, note=self._note)
+        if not self._progress.console.is_terminal and self._is_line_due():
+            self._last_line = self._clock()
+            elapsed, made = self._last_line - self._begin, self.made * self._each
+            remaining = timedelta(seconds=round((total - done) * elapsed / self.made))
+            speed = f"{made / elapsed:.2g} per second, " if elapsed else ""
+            line = f"{self._things} {done * self._each} of {total * self._each}, {speed}about {remaining} left"
+            self._progress.console.print(line + (self._note and f", {self._note}"))
 
-
-class _PerSecond(ProgressColumn):
-    def render(self, task: Task) -> str:
-        made = task.completed - task.fields["before"]
-        return f"{made / task.elapsed:.1f} {task.description}/s" if made and task.elapsed else "starting"
+    def _is_line_due(self) -> bool:
+        if not self.made or self.done >= self.total:
+            return False
+        if self._last_line is None:
+            return self.made * self._each >= _FIRST_AFTER
+        return self._clock() - self._last_line >= _SECONDS_BETWEEN
