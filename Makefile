@@ -31,7 +31,7 @@ quickstart: install
 		cameras=[0] against=radiosity output=data/renders reference=true
 	$(RUN) launch/evaluate.py $(EXPERIMENT) checkpoint=$(TRAINED)/checkpoints/best.ckpt
 	@echo
-	@echo "Pictures        data/renders/cornell_box_comparison.png, $(TRAINED)/evaluation/*.png"
+	@echo "Pictures        data/renders/cornell_box_0_comparison.png, $(TRAINED)/evaluation/*.png"
 	@echo "Metrics         $(TRAINED)/evaluation/summary.csv"
 	@echo "Report          $(TRAINED)/evaluation/report.html"
 	@echo "Training run    $(RUN) -m mlflow ui --backend-store-uri sqlite:///data/runs/mlflow.db"

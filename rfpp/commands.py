@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import functools
 import os
+import re
 import sys
 import warnings
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -34,6 +35,8 @@ _INVALID_VALUE = (ValueError, TypeError, ArithmeticError, RuntimeError)
 
 #: Groups that may be given with a plus, as in Hydra's documentation, although they have a default here.
 _WITH_PLUS = ("+experiment=", "+debug=")
+
+_SCENE_FILE = re.compile(r"[^-=][^=]*\.(json|h5|glb|gltf|obj|ply|stl)", re.IGNORECASE)
 
 #: Folder of Hydra's primary configurations and groups.
 CONFIG_DIR = carried("conf", "_conf")
@@ -79,7 +82,7 @@ def entry_point(
 
         @functools.wraps(reporting)
         def command() -> Result:
-            sys.argv[1:] = without_plus(sys.argv[1:])
+            sys.argv[1:] = with_scenes(without_plus(sys.argv[1:]))
             os.environ["HYDRA_FULL_ERROR"] = "1"  # Hydra then raises its errors, and keeps tracebacks of defects
             try:
                 return composed()
@@ -94,6 +97,14 @@ def entry_point(
 def without_plus(arguments: Sequence[str]) -> list[str]:
     """Return the command line with `experiment=…` for `+experiment=…`."""
     return [given[1:] if given.startswith(_WITH_PLUS) else given for given in arguments]
+
+
+def with_scenes(arguments: Sequence[str]) -> list[str]:
+    """Return the command line with `scene=…` for plain file names, as in `rfpp render chair.glb`."""
+    files = [given for given in arguments if _SCENE_FILE.fullmatch(given)]
+    quoted = ["'" + re.sub(r"(\\*)'", r"\1\1\'", file) + "'" for file in files]
+    scene = [f"scene={quoted[0] if len(files) == 1 else '[' + ','.join(quoted) + ']'}"] if files else []
+    return [given for given in arguments if given not in files] + scene
 
 
 def _fail(error: UserError) -> NoReturn:

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from hydra.utils import instantiate
 
-from rfpp.commands import entry_point, settings, without_plus
+from rfpp.commands import entry_point, settings, with_scenes, without_plus
 from rfpp.errors import UserError
 
 ROOT = Path(__file__).parents[1]
@@ -19,6 +19,12 @@ def test_a_plus_before_experiment_and_debug_is_dropped():
     given = ["-m", "+experiment=[ablation,known_light]", "experiment=quickstart", "+debug=cpu", "+x=+experiment=a"]
     expected = ["-m", "experiment=[ablation,known_light]", "experiment=quickstart", "debug=cpu", "+x=+experiment=a"]
     assert without_plus(given) == expected
+
+
+def test_plain_file_names_are_scenes():
+    assert with_scenes(["chair.glb", "fov=3", "--cfg", "job"]) == ["fov=3", "--cfg", "job", "scene='chair.glb'"]
+    assert with_scenes(["it's.OBJ", "b.json"]) == [r"scene=['it\'s.OBJ','b.json']"]
+    assert with_scenes(["scene=a.json", "-m"]) == ["scene=a.json", "-m"]
 
 
 def test_the_command_line_takes_a_plus():

@@ -54,10 +54,3 @@ def test_communication_overlaps_with_the_backward_pass_except_for_the_last_bucke
     # only the last of eight batches has its gradients averaged
     held = replace(WORK, scenes_at_once=1)
     assert step_time(replace(slow, overlap=1.0), held, 2).communication == pytest.approx(alone - backward / 8)
-
-
-def test_an_indivisible_batch_is_rejected():
-    with pytest.raises(ValueError, match="16 scenes do not divide among 3"):
-        step_time(CLUSTER, WORK, 3)
-    with pytest.raises(ValueError, match="among 32"):
-        step_time(CLUSTER, WORK, 32)
