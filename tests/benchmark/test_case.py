@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from rfpp.benchmark.case import LIGHTS, Case
+from rfpp.benchmark.case import Case
 from rfpp.errors import UserError
 
 
@@ -16,15 +16,6 @@ def test_scenes_have_the_requested_numbers_of_triangles_and_objects(triangles, o
     assert min(batch.objects.lengths) >= 1
     assert batch.gbuffer.shape == (2, 2, 4, 8, 8)
     assert batch.image.shape == (2, 2, 3, 8, 8)
-
-
-def test_only_light_sources_of_one_triangle_emit():
-    batch = Case(triangles=500, objects=20, views=1, resolution=8, scenes=1).batch((), seed=0)
-    emits = batch.material[:, 7:].sum(1) > 0
-    assert emits.sum() == LIGHTS
-    owners = batch.objects.index[emits]
-    assert len(set(owners.tolist())) == LIGHTS
-    assert all(batch.objects.lengths[owner] == 1 for owner in owners)
 
 
 def test_the_seed_determines_the_batch():

@@ -136,7 +136,3 @@ class TestOperations:
     def test_a_scene_is_encoded_once_for_all_views(self):
         assert self.count("rfpp", "encode") == self.count("rfpp", "encode", views=4)
         assert 3 < self.count("rfpp", "view", views=4) / self.count("rfpp", "view") <= 4  # keys are those of the scene
-
-    def test_a_training_step_is_three_forward_passes(self):
-        forward = self.count("renderformer", "encode") + self.count("renderformer", "view")
-        assert self.count("renderformer", "training_step") == 3 * forward

@@ -142,6 +142,16 @@ def test_ranks_stop_together_when_one_is_told_to_and_say_how_to_go_on(folder, da
     assert differing(ended, two_ranks) == []
 
 
+def test_ranks_that_would_resume_from_different_steps_are_refused(folder, data, two_ranks):
+    run_dir = folder / "blind"
+    shutil.copytree(folder / "two-ranks" / "checkpoints", run_dir / "checkpoints", symlinks=True)
+    for rank in range(2):
+        (run_dir / f"rank-{rank}.ckpt").symlink_to(step_file(run_dir / "checkpoints", STEPS - 1 - rank))
+    choice = f"checkpoint={run_dir}/rank-${{oc.env:LOCAL_RANK}}.ckpt"
+    assert finish(start(run_dir, data, *RUN, *PLAIN_DESCENT, choice, ranks=2)) == [1, 1]
+    assert f"error: ranks found checkpoints of different steps ([{STEPS - 1}, {STEPS - 2}])" in output(run_dir)
+
+
 def test_control_c_saves_and_the_same_command_goes_on(folder, data, uninterrupted):
     run_dir = folder / "control-c"
     (process,) = start(run_dir, data, *RUN, *PRECISIONS["bf16"])

@@ -11,6 +11,7 @@ import torch
 import torch.distributed as dist
 
 from rfpp.batch import RaggedBatch
+from rfpp.errors import UserError
 
 #: Key of the random states of all ranks in a checkpoint.
 RANDOM_KEY = "random_states"
@@ -25,6 +26,14 @@ class ExactResume(L.Callback):
 
     def __init__(self) -> None:
         self._states: list[dict[str, Any]] | None = None
+
+    def on_train_start(self, trainer: L.Trainer, module: L.LightningModule) -> None:
+        """Require all ranks to begin after the same step; else raise UserError on all, which would wait for ever."""
+        steps = [trainer.global_step] * trainer.world_size
+        if trainer.world_size > 1:
+            dist.all_gather_object(steps, trainer.global_step)
+        if len(set(steps)) > 1:
+            raise UserError(f"ranks found checkpoints of different steps ({steps}): put run_dir where all can see it")
 
     def on_save_checkpoint(self, trainer: L.Trainer, module: L.LightningModule, checkpoint: dict[str, Any]) -> None:
         states: list[Any] = [random_state()]
