@@ -40,6 +40,8 @@ def main(cfg: DictConfig) -> Path:
     console = Console(highlight=False, soft_wrap=True)
     config, plan = OmegaConf.to_container(cfg, resolve=True), cfg.refining
     radiosity, cache = instantiate(cfg.radiosity, _convert_="all"), instantiate(cfg.datamodule.source.cache)
+    if plan.initial:
+        radiosity.load_state_dict(Renderer.load(plan.initial, "cpu", "fp32").engine.module.state_dict())
     train, validation = (ShardSplit(cfg.data.root, name, cache) for name in ("train", "validation"))
     info = CheckpointInfo(
         model=config["radiosity"],
