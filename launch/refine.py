@@ -41,7 +41,8 @@ def main(cfg: DictConfig) -> Path:
     config, plan = OmegaConf.to_container(cfg, resolve=True), cfg.refining
     radiosity, cache = instantiate(cfg.radiosity, _convert_="all"), instantiate(cfg.datamodule.source.cache)
     if plan.initial:
-        radiosity.load_state_dict(Renderer.load(plan.initial, "cpu", "fp32").engine.module.state_dict())
+        initial = Renderer.load(plan.initial, "cpu", "fp32").require_linear("refining.initial")
+        radiosity.load_state_dict(initial.module.state_dict())
     train, validation = (ShardSplit(cfg.data.root, name, cache) for name in ("train", "validation"))
     info = CheckpointInfo(
         model=config["radiosity"],
