@@ -31,8 +31,8 @@ from rfpp.training.blocks import compile_blocks
 from rfpp.training.callbacks.finite_gradients import NonFiniteGradientError
 from rfpp.training.checkpoint_files import checkpoint_to_resume, point_at
 from rfpp.training.module import RenderingModule
-from rfpp.training.plan import PLAN_KEY, choose_acceleration, choose_precision, plan_training
-from rfpp.training.run import locked, shared_with_ranks, trainer_plugins
+from rfpp.training.plan import PLAN_KEY, choose_acceleration, choose_precision, plan_training, require_devices
+from rfpp.training.run import locked, trainer_plugins
 from rfpp.training.steps import CapturedStep, PlainStep
 from rfpp.training.stopping import StoppedError, exit_early
 from rfpp.training.summary import end_summary, start_summary
@@ -53,6 +53,8 @@ def main(cfg: DictConfig) -> Path | None:
     L.seed_everything(cfg.seed, verbose=False)
     torch.set_float32_matmul_precision("high")
 
+    require_devices(cfg.trainer)
+    data = instantiate(cfg.datamodule.source).manifest  # before the network is built, which takes long
     run_dir = Path(cfg.run_dir)
     network = instantiate(cfg.model, _convert_="all")
     model = OmegaConf.to_container(cfg.model, resolve=True)
@@ -74,8 +76,8 @@ def main(cfg: DictConfig) -> Path | None:
     info = CheckpointInfo(
         model=model,
         resolution=(cfg.data.resolution, cfg.data.resolution),
-        data_manifest=datamodule.manifest.hash,
-        dataset=datamodule.manifest.name,
+        data_manifest=data.hash,
+        dataset=data.name,
         method=cfg.method,
         seed=cfg.seed,
         steps=0,
@@ -99,12 +101,12 @@ def main(cfg: DictConfig) -> Path | None:
         if resumed:
             console.print(f"Resumes  {resumed}")
     try:
-        with locked(run_dir) if trainer.is_global_zero else nullcontext(), shared_with_ranks(run_dir):
+        with locked(run_dir) if trainer.is_global_zero else nullcontext():
             if trainer.is_global_zero:
                 config_file = write_config(config, run_dir)
                 point_at(run_dir, run_dir.with_name("latest"))
                 tags = {"code_version": info.commit or "unknown", "data_manifest": info.data_manifest}
-                logger.describe(config, config_file, datamodule.manifest, tags | {"run_dir": str(run_dir)})
+                logger.describe(config, config_file, data, tags | {"run_dir": str(run_dir)})
             trainer.fit(module, datamodule, ckpt_path=resumed, weights_only=True)
     except (StoppedError, NonFiniteGradientError) as stop:
         if not trainer.is_global_zero:

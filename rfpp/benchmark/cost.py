@@ -115,7 +115,6 @@ def measure(
 
 
 def _point(case: Case, group: Mapping[str, Any], device: str) -> tuple[Case, Sequence[str], str]:
-    """Return the case, quantities and acceleration of a group."""
     acceleration = group.get("acceleration", "graphs") if device == "cuda" else "none"
     if unknown := set(group["quantities"]) - set(QUANTITIES):
         raise UserError(f"benchmark.groups: unknown quantity '{min(unknown)}': choose from {', '.join(QUANTITIES)}")

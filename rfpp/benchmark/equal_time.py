@@ -103,7 +103,6 @@ def dimmed(scene: PackedScene) -> PackedScene:
 def _reference(
     scene: PackedScene, resolution: int, settings: CyclesSettings, folder: Path
 ) -> Float[np.ndarray, "v h w 3"]:
-    """Load the reference from the folder, or render it."""
     digest = blake2b(f"{settings} {resolution}".encode(), digest_size=16)
     for array in (scene.triangles.positions, scene.triangles.normals, scene.triangles.material, scene.c2w, scene.fov):
         digest.update(np.ascontiguousarray(array))

@@ -56,7 +56,6 @@ def measure(
 
 
 def _work(training: TrainingCase, scenes: Sequence[SceneViews], partition: Partition) -> Work:
-    """Count the work of a step on such scenes."""
     network = training.network()
     triangles = np.array([len(scene.triangles) for scene in scenes])
     counted = np.argsort(triangles)[np.linspace(0, len(scenes) - 1, COUNTED).astype(int)]

@@ -109,7 +109,6 @@ def _read(checkpoint: Path | str) -> tuple[CheckpointInfo, dict[str, torch.Tenso
 
 
 def _read_file(path: Path) -> tuple[CheckpointInfo, dict[str, torch.Tensor]]:
-    """A checkpoint that Lightning wrote."""
     if path.parts[0] == "models:":
         raise CheckpointError(
             f"{path}: is a model of MLflow's registry: give it to launch/render.py or launch/evaluate.py, or fetch its "

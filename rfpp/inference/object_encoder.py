@@ -72,7 +72,6 @@ class ObjectEncoder:
         return [tokens[key] for key in keys]
 
     def _encoded(self, batch: RaggedBatch, chunks: Sequence[list[int]]) -> Iterator[list[SceneTokens]]:
-        """Yield the tokens of each object of each chunk."""
         inference, dtype = torch.is_inference_mode_enabled(), torch.get_autocast_dtype(self.device.type)
         autocast = torch.is_autocast_enabled(self.device.type)
 

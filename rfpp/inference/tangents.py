@@ -81,7 +81,6 @@ class DifferentiableInputs:
         return replace(value, channels=channels, bounced=bounced)
 
     def _with_albedos(self, seen: SeenView, channels: dict[str, Tensor]) -> dict[str, Tensor]:
-        """Add the derivatives by albedos and roughness."""
         gbuffer = seen.gbuffer
         hit = torch.from_numpy(gbuffer.hit).to(self.device)
         triangle = torch.from_numpy(gbuffer.triangle).long().to(self.device).clamp_min(0)

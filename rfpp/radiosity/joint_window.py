@@ -47,7 +47,6 @@ class JointWindow:
     def _filtered(
         self, light: Float[Tensor, "n 6 h w"], guides: Float[Tensor, "n 7 h w"], step: int
     ) -> Float[Tensor, "n 6 h w"]:
-        """Filter once with a stride between pixels."""
         side, (height, width) = self.radius * step, light.shape[-2:]
         around = F.pad(light.unflatten(1, (2, 3)), [side] * 4)
         guides_around = F.pad(guides, [side] * 4)

@@ -249,7 +249,6 @@ def gathered_each(
 
 @compiled
 def _faces(scene: LitScene, e: int, point: Vector) -> bool:
-    """Return whether the front of an emitter faces a point."""
     corner, facing = scene.corners[e, 0], scene.facing[e]
     x, y, z = point[0] - corner[0], point[1] - corner[1], point[2] - corner[2]
     return bool(x * facing[0] + y * facing[1] + z * facing[2] > 0)

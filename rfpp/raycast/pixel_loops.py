@@ -269,7 +269,6 @@ def to_image(
 
 @compiled
 def _rays(samples: int, alpha: float, specular: float) -> int:
-    """Of a point's glossy lobe."""
     if alpha <= ggx.MIN_ALPHA:
         return 1
     return min(max(int(np.ceil(samples * min(4 * specular, 1.0))), 1), samples)

@@ -53,7 +53,6 @@ def _across(vector: Vector, axis: Vector) -> Triple:
 
 @compiled
 def _angle(a: Vector, b: Vector) -> tuple[float, float]:
-    """Return cosine and sine of the angle between unit vectors."""
     cosine = min(max(dot(a, b), -1.0), 1.0)
     return cosine, np.sqrt(max(1 - cosine * cosine, 0.0))
 

@@ -129,7 +129,6 @@ def _in_front(
     point: Float[np.ndarray, "r 3"],
     view: Float[np.ndarray, "r 3"],
 ) -> None:
-    """Fills in where rays start, and the unit direction to the eye."""
     for row in range(len(triangle)):
         found = _raised(positions[triangle[row]], triple(position[row]), triple(normal[row]), triple(eye[row]))
         for k in range(3):
@@ -156,7 +155,6 @@ def _seen(
     specular: Float[np.ndarray, "r 3"],
     alpha: Float[np.ndarray, " r"],
 ) -> None:
-    """Fills in a `Surface`, of these pixels."""
     eye = (pose[0, 3], pose[1, 3], pose[2, 3])
     for row in range(start, stop):
         at = pixel[row]
@@ -172,7 +170,6 @@ def _seen(
 
 @compiled
 def _turned(pose: Float[np.ndarray, "4 4"], vector: Vector) -> Triple:
-    """From the camera's axes to the world's."""
     return dot(pose[0, :3], vector), dot(pose[1, :3], vector), dot(pose[2, :3], vector)
 
 

@@ -221,7 +221,6 @@ def _pass(layers: dict[str, np.ndarray], name: str, channels: str) -> np.ndarray
 
 
 def _empty_scene(bpy: ModuleType):
-    """Return Blender's scene without the data of earlier calls."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     shutil.rmtree(bpy.app.tempdir, ignore_errors=True)  # unused, and left behind when a worker exits
     return bpy.context.scene

@@ -89,7 +89,6 @@ class RenderFarm:
 
 
 def _stop(slots: list[Slot]) -> None:
-    """Stop workers in parallel: notify all, then wait."""
     for slot in slots:
         slot.dismiss()
     for slot in slots:

@@ -82,7 +82,6 @@ class SceneRenderer:
 
 
 def _coverage(scene: PackedScene, height: int, width: int, points: int) -> Float[np.ndarray, "h w"]:
-    """Return the share of each pixel that surfaces cover."""
     hit = first_hit(scene.triangles, scene.c2w[0], scene.fov[0], points * height, points * width).hit
     return hit.reshape(height, points, width, points).mean(axis=(1, 3))
 

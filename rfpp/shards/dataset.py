@@ -94,7 +94,6 @@ class ShardSplit(Dataset):
             self.close()
 
     def _locate(self, index: int) -> tuple[int, int]:
-        """Return a sample's shard and its position in it."""
         if not 0 <= index < len(self):
             raise IndexError(f"sample {index} of {len(self)} in split '{self.split}'")
         number = bisect.bisect_right(self._ends, index)

@@ -190,7 +190,6 @@ class SceneJob:
     def _rngs(
         self, task: SceneTask, split: str, attempt: int, camera_attempt: int
     ) -> tuple[np.random.Generator, np.random.Generator]:
-        """Return the generators of a scene and of its cameras."""
         scene = self._seed(task.scene_split, task.index, "scene", attempt)
         cameras = self._seed(split, task.index, "cameras", attempt, camera_attempt)
         return np.random.default_rng(scene), np.random.default_rng(cameras)

@@ -16,7 +16,7 @@ from rfpp.shards.order import ShuffledOrder, truncated
 from rfpp.shards.views import AllViews
 from rfpp.training.augmentation import Augmentation
 from rfpp.training.batching import Batching
-from rfpp.training.loader import SceneLoader, SkippingCorrupt, pack_padded, pack_readable
+from rfpp.training.loader import Packing, SceneLoader, SkippingCorrupt
 from rfpp.training.signals import exit_with_parent
 from rfpp.training.source import DataSource
 from rfpp.training.views import GlobalBatches, TrainingViews
@@ -74,8 +74,8 @@ class SceneDataModule(L.LightningDataModule):
             accumulate=trainer.accumulate_grad_batches,
         )
         views = TrainingViews(split, self.channels, self.batching.views_per_scene, self.augmentations, self.seed)
-        pack = pack_padded if self.padded else pack_readable
-        return self._loader(SkippingCorrupt(views) if self.source.skip_corrupt else views, pack, batch_sampler=batches)
+        scenes = SkippingCorrupt(views) if self.source.skip_corrupt else views
+        return self._loader(scenes, Packing(self.padded), batch_sampler=batches)
 
     def val_dataloader(self) -> DataLoader:
         scenes, trainer = AllViews(self.source.validation(), self.channels), self.trainer

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import Any
 
 from torch.utils.data import DataLoader, Dataset
@@ -50,14 +51,27 @@ class SkippingCorrupt(Dataset):
             return None
 
 
-def pack_readable(scenes: Sequence[SceneViews | None]) -> RaggedBatch:
-    """Collate the readable scenes into a batch. Raises ShardError if there are none."""
-    readable = [scene for scene in scenes if scene is not None]
-    if not readable:
-        raise ShardError(f"none of a batch's {len(scenes)} scenes can be read: see the warnings above")
-    return RaggedBatch.pack(readable)
+class Packing:
+    """Collates the readable scenes of a batch.
 
+    A batch without any repeats the one before, without keys: its weight in training is zero, and no rank misses a step.
 
-def pack_padded(scenes: Sequence[SceneViews | None]) -> RaggedBatch:
-    """Collate like `pack_readable`, into sizes that recur."""
-    return pack_readable(scenes).padded()
+    Args:
+        padded: Whether to round sizes up to those that recur.
+
+    Raises:
+        ShardError: If no scene of the first batch of a loader process can be read.
+    """
+
+    def __init__(self, padded: bool):
+        self.padded = padded
+        self._before: RaggedBatch | None = None
+
+    def __call__(self, scenes: Sequence[SceneViews | None]) -> RaggedBatch:
+        if readable := [scene for scene in scenes if scene is not None]:
+            batch = RaggedBatch.pack(readable)
+            self._before = batch.padded() if self.padded else batch
+            return self._before
+        if self._before is None:
+            raise ShardError(f"none of a batch's {len(scenes)} scenes can be read: see the warnings above")
+        return replace(self._before, keys=())

@@ -15,6 +15,7 @@ from torchmetrics import MeanMetric
 
 from rfpp.batch import RaggedBatch
 from rfpp.checkpoint.loading import CHECKPOINT_KEY, CheckpointInfo
+from rfpp.errors import UserError
 from rfpp.imaging.radiance import log_decode
 from rfpp.losses.rendering import RenderingLoss
 from rfpp.metrics.image import ImageMetrics
@@ -49,17 +50,15 @@ class RenderingModule(L.LightningModule):
     def forward(self, batch: RaggedBatch) -> Rendering:
         return self.network(batch)
 
-    def training_step(self, batch: RaggedBatch, _: int) -> dict[str, Tensor]:
-        """Return `loss` and `tokens`, the number of scene tokens."""
+    def training_step(self, batch: RaggedBatch, _: int) -> dict[str, Any]:
+        """Return `loss`; `terms`, the means of its terms by the names of their metrics; and `tokens`, their number."""
         terms, tokens = self.step(self.network, self.loss, batch)
-        scenes = len(batch.keys)
-        self.log("train/loss", terms["loss"].detach(), prog_bar=True, batch_size=scenes)
-        others = {metric_name(term): value.detach() for term, value in terms.items() if term != "loss"}
         rate = self.optimizers(use_pl_optimizer=False).param_groups[0]["lr"]  # the same in all groups
-        self.log_dict({**others, "train/learning_rate": rate}, batch_size=scenes)
+        self.log("train/learning_rate", rate)
         # a step averages over its batches; weighting by scenes gives each scene the same weight if others are skipped
-        loss = terms["loss"] * (scenes / self.trainer.datamodule.scenes_per_batch)
-        return {"loss": loss, "tokens": torch.tensor(tokens)}
+        loss = terms["loss"] * (len(batch.keys) / self.trainer.datamodule.scenes_per_batch)
+        named = {metric_name(term): value.detach() for term, value in terms.items()}
+        return {"loss": loss, "terms": named, "tokens": torch.tensor(tokens)}
 
     def validation_step(self, batch: RaggedBatch, _: int) -> dict[str, Tensor]:
         """Log all metrics; return `radiance` [B, V, 3, H, W] for callbacks."""
@@ -83,6 +82,24 @@ class RenderingModule(L.LightningModule):
         trained = (*self.network.parameters(), *self.loss.parameters())
         norm = torch.nn.utils.clip_grad_norm_(trained, gradient_clip_val or float("inf"))
         self.log("train/gradient_norm", norm)
+
+    def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
+        """Keep the configured learning rate, weight decay etc., which Lightning would replace by the checkpoint's.
+
+        Raises:
+            UserError: If the checkpoint holds the state of another optimizer.
+        """
+        [state], [schedule] = checkpoint["optimizer_states"], checkpoint["lr_schedulers"]
+        configured = self.configure_optimizers()["optimizer"].param_groups
+        for group, new in zip(state["param_groups"], configured, strict=True):
+            if group.keys() != new.keys():
+                raise UserError(
+                    "the run to resume had another optimizer: use it, or initial_weights=… in another run_dir"
+                )
+            if group["initial_lr"] != new["initial_lr"]:
+                group["lr"] *= new["initial_lr"] / group["initial_lr"]
+            group.update({name: value for name, value in new.items() if name not in ("params", "lr")})
+        schedule["base_lrs"] = [group["initial_lr"] for group in configured]
 
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
         checkpoint[CHECKPOINT_KEY] = replace(

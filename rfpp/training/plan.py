@@ -40,6 +40,16 @@ class TrainingPlan:
         return {name: value for name, value in asdict(self).items() if name != "ranks"}
 
 
+def require_devices(trainer: Mapping[str, Any]) -> None:
+    """Raise UserError unless this machine has the GPUs that `trainer` names."""
+    needed, found = _devices_per_node(trainer["devices"]), torch.cuda.device_count()
+    if trainer["accelerator"] in ("gpu", "cuda") and found < needed:
+        raise UserError(
+            f"trainer.devices={needed}: this machine has {found} CUDA GPUs: choose another number, trainer=auto (one "
+            "GPU or the CPU) or debug=cpu"
+        )
+
+
 def plan_training(trainer: Mapping[str, Any], precision: str, accumulation: Callable[[int], int]) -> TrainingPlan:
     """Plan a training run.
 
@@ -113,7 +123,6 @@ def _precision_of_run(checkpoint: Path) -> str | None:
 
 
 def _device(accelerator: str) -> torch.device:
-    """Device type that Lightning will use."""
     if accelerator in ("auto", "gpu", "cuda") and torch.cuda.is_available():
         return torch.device("cuda")
     if accelerator in ("auto", "gpu", "mps") and torch.backends.mps.is_available():

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -15,9 +14,6 @@ from torch import nn
 from rfpp.errors import UserError
 from rfpp.training.checkpoint_files import AtomicCheckpointIO
 
-#: Environment variable with the name of the run's folder; the default is the time, see conf/common.yaml.
-RUN_VARIABLE = "RFPP_RUN"
-
 
 def trainer_plugins() -> list[Any]:
     """Return the Trainer's plugins: atomic checkpoint files, and a Slurm environment without Lightning's requeueing.
@@ -26,19 +22,6 @@ def trainer_plugins() -> list[Any]:
     """
     slurm = [SLURMEnvironment(auto_requeue=False)] if SLURMEnvironment.detect() else []
     return [AtomicCheckpointIO(), *slurm]
-
-
-@contextmanager
-def shared_with_ranks(run_dir: Path) -> Iterator[None]:
-    """Let processes started in this block use this run folder, though they compose the configuration again.
-
-    Lightning starts one process per further device.
-    """
-    os.environ[RUN_VARIABLE] = run_dir.name
-    try:
-        yield
-    finally:
-        del os.environ[RUN_VARIABLE]
 
 
 @contextmanager

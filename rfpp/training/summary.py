@@ -39,7 +39,7 @@ def start_summary(
         f"Steps    {cfg['steps']} of {scenes} scenes x {views} views = {scenes * views} images\n"
         f"Devices  {plan.ranks} x {hardware(device)}, {share} scenes each, {share // plan.accumulate_grad_batches} "
         f"at a time, {plan.precision}\n"
-        f"Writes   {cfg['run_dir']}, {logger.location}"
+        f"Writes   {logger.run_dir}, {logger.location}"
     )
 
 

@@ -105,7 +105,6 @@ class ObjectControls:
             self._is_filling = False
 
     def _fill(self) -> None:
-        """Show the values of the chosen object."""
         item = self._item()
         material, transform = item.material, item.transform
         self._place_gizmo(item)
@@ -131,7 +130,6 @@ class ObjectControls:
         self._gizmo.position, self._gizmo.wxyz = item.transform.translation, edits.quaternion(item.transform)
 
     def _dragged(self) -> None:
-        """Move the object to the gizmo."""
         with self._filling():
             self._translation.value = tuple(self._gizmo.position.tolist())
             self._rotation.value = edits.rotation(self._gizmo.wxyz)

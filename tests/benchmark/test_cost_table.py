@@ -1,5 +1,3 @@
-"""The Markdown table of what both networks cost."""
-
 import pytest
 
 from rfpp.benchmark.cost import IDENTITY

@@ -1,5 +1,3 @@
-"""The gallery: a row and a line of pictures for each scene."""
-
 import numpy as np
 import pytest
 from edited_scenes import scene

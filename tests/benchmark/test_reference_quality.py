@@ -1,5 +1,3 @@
-"""Time and error of reference presets."""
-
 from dataclasses import replace
 
 from marks import requires_blender

@@ -1,5 +1,3 @@
-"""The streaming benchmark on small data sets."""
-
 from functools import partial
 
 import pytest

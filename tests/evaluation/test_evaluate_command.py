@@ -1,5 +1,3 @@
-"""launch/evaluate.py, from a checkpoint on disk to its results."""
-
 import csv
 import shutil
 from pathlib import Path

@@ -1,5 +1,3 @@
-"""From a run's folder to a model folder and its card."""
-
 import numpy as np
 import pytest
 import torch

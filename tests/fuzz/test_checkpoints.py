@@ -1,5 +1,3 @@
-"""Damaged checkpoints load or raise one line that names the file; no code is run."""
-
 import io
 import json
 from pathlib import Path

@@ -1,5 +1,3 @@
-"""Damaged and hostile scene files give a finite picture by the shipped model, or a one-line error."""
-
 import json
 import struct
 import warnings

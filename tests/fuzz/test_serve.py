@@ -1,5 +1,3 @@
-"""Damaged requests to the server for Blender: a picture, or an error in one line."""
-
 import socket
 from collections.abc import Iterator
 from contextlib import suppress

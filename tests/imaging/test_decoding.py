@@ -1,5 +1,3 @@
-"""Radiance from image files."""
-
 import numpy as np
 import pytest
 from PIL import Image

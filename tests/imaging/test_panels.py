@@ -1,5 +1,3 @@
-"""Panels: tone mapping, error maps, colors, sheets and files."""
-
 import numpy as np
 from PIL import Image
 

@@ -1,5 +1,3 @@
-"""Encodings of radiance: definitions, inverses, gradients and NaN."""
-
 import math
 
 import pytest

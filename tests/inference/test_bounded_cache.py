@@ -1,5 +1,3 @@
-"""The cache: its limit, its order, and computation by one thread."""
-
 import threading
 from concurrent.futures import ThreadPoolExecutor
 

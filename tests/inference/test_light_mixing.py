@@ -1,5 +1,3 @@
-"""Mixed lights equal a new render, and each light is rendered once."""
-
 import numpy as np
 import pytest
 from edited_scenes import changed, lamp, moved, scene

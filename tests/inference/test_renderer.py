@@ -1,5 +1,3 @@
-"""Rendering scenes through the public API, with an untrained network."""
-
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from threading import Event

@@ -1,5 +1,3 @@
-"""MP4 files, read back."""
-
 import sys
 
 import numpy as np

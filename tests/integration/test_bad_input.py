@@ -1,5 +1,3 @@
-"""Invalid input of commands is reported in one line."""
-
 import json
 import os
 import resource

@@ -1,5 +1,3 @@
-"""Every experiment composes, and runs a step of its own path on a CPU."""
-
 import csv
 import math
 

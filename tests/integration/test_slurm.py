@@ -4,10 +4,12 @@ Training on two nodes, told to stop, requeued, and in the end the weights of a r
 arrays of jobs.
 """
 
+import os
 import subprocess
 import sys
 from pathlib import Path
 
+import pytest
 import torch
 from marks import requires_blender, requires_slurm
 from slurm_cluster import free_ports
@@ -88,6 +90,24 @@ def test_a_cancelled_job_saves_and_exits(slurm, tmp_path):
     assert stopped.endswith(f"resume with the same command and run_dir={run_dir}")
     step = int(stopped.split("after step ")[1].split()[0])
     assert (run_dir / "checkpoints" / "last.ckpt").resolve() == step_file(run_dir / "checkpoints", step)
+
+
+@pytest.mark.parametrize(("says", "requeued"), [("error: shard-3.tar: damaged", False), ("killed", True)])
+def test_a_job_is_requeued_unless_a_rank_named_an_error(tmp_path, says, requeued):
+    for name, program in {
+        "srun": f"echo training; echo '{says}' >&2; exit 137",
+        "scontrol": "echo scontrol $*",
+    }.items():
+        (tmp_path / name).write_text(f"#!/bin/sh\n{program}\n")
+        (tmp_path / name).chmod(0o755)
+    names = ("SLURM_JOB_ID", "SLURM_JOB_NUM_NODES", "SLURM_NTASKS_PER_NODE")
+    environment = {**os.environ, **dict.fromkeys(names, "7"), "SLURM_SUBMIT_DIR": str(tmp_path)}
+    environment["PATH"] = f"{tmp_path}:{environment['PATH']}"
+    command = ["bash", REPOSITORY / "launch/slurm/train.sbatch"]
+    job = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    assert job.returncode == (137 if requeued else 1)
+    assert job.stdout == ("training\nscontrol requeue 7\n" if requeued else "training\n")
+    assert job.stderr.splitlines() == ([says] if requeued else [says, f"not requeued: {says}"])
 
 
 SMALL = (

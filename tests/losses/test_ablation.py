@@ -1,5 +1,3 @@
-"""Each ablation changes what it names, and nothing else."""
-
 import pytest
 import torch
 from network_variants import batch_for

@@ -1,5 +1,3 @@
-"""The loss of images under several exposures."""
-
 import pytest
 import torch
 

@@ -1,5 +1,3 @@
-"""Tokens supervised by the light of the surfaces they stand for."""
-
 import pytest
 import torch
 from network_variants import loss

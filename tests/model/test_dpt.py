@@ -1,5 +1,3 @@
-"""The image head where an image is a single ray bundle."""
-
 import torch
 
 from rfpp.model.dpt import HalvingConv

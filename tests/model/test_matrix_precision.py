@@ -1,5 +1,3 @@
-"""Rendering in bfloat16 where the device is made for it."""
-
 import numpy as np
 import pytest
 import torch

@@ -1,5 +1,3 @@
-"""Attention windows of ray tokens."""
-
 import pytest
 import torch
 

@@ -1,5 +1,3 @@
-"""The cells that pixels see: rays go where light comes from."""
-
 from collections.abc import Iterable
 
 import numpy as np

@@ -1,5 +1,3 @@
-"""Light shared in a window: where it goes, and where it must not."""
-
 import pytest
 import torch
 

@@ -1,5 +1,3 @@
-"""Pixels and the points within them."""
-
 import pytest
 import torch
 

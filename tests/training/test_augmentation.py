@@ -1,5 +1,3 @@
-"""Augmentation changes scenes, G-buffers and images consistently."""
-
 import numpy as np
 import pytest
 from small_data import make

@@ -105,10 +105,11 @@ def test_a_truncated_newest_checkpoint_is_skipped(uninterrupted, data, folder):
 def test_one_global_batch_is_one_step_however_it_is_divided(how, folder, data, two_ranks, request):
     alone = request.getfixturevalue("alone")
     if how == "two ranks":
-        other = two_ranks  # which share three validation scenes
+        other, run_dir = two_ranks, folder / "two-ranks"  # which share three validation scenes
         assert best_score(other) == pytest.approx(best_score(last(alone)), rel=1e-4)
     elif how == "accumulated":
-        other = train(folder / "parts", data, *RUN, *PLAIN_DESCENT, "datamodule.batching.scenes_per_device=2")
+        run_dir = folder / "parts"
+        other = train(run_dir, data, *RUN, *PLAIN_DESCENT, "datamodule.batching.scenes_per_device=2")
     else:
         run_dir = folder / "joined"
         shutil.copytree(alone / "checkpoints", run_dir / "checkpoints", symlinks=True)
@@ -117,9 +118,30 @@ def test_one_global_batch_is_one_step_however_it_is_divided(how, folder, data, t
         other = train(run_dir, data, *RUN, *PLAIN_DESCENT, "datamodule.batching.scenes_per_device=1", ranks=2)
         assert len(other["random_states"]) == 2
     assert other["global_step"] == STEPS
+    if how != "one rank, then two":
+        losses, same = ([loss for _, name, loss in logged(run) if name == "train/loss"] for run in (alone, run_dir))
+        assert same == pytest.approx(losses, rel=1e-3)
     first = torch.load(step_file(alone / "checkpoints", STEPS - 2), weights_only=True)
     moved = (weights(last(alone)) - weights(first)).abs().max()
     assert (weights(other) - weights(last(alone))).abs().max() < 1e-3 * moved
+
+
+def test_a_resumed_run_takes_the_settings_of_its_command(folder, data, alone):
+    run_dir = folder / "slower"
+    for part in ("checkpoints", "tracking"):
+        shutil.copytree(alone / part, run_dir / part, symlinks=True)
+    step_file(run_dir / "checkpoints", STEPS).unlink()
+    before = torch.load(step_file(run_dir / "checkpoints", STEPS - 1), weights_only=True)
+    ended = train(run_dir, data, *RUN, *PLAIN_DESCENT, "optimizer.lr=0.003", "optimizer.weight_decay=0.002")
+    groups = ended["optimizer_states"][0]["param_groups"]
+    assert [(group["initial_lr"], group["weight_decay"]) for group in groups] == [(0.003, 0.002), (0.003, 0.0)]
+    steps = [(weights(after) - weights(before)).norm() for after in (ended, last(alone))]
+    assert steps[0] < 0.05 * steps[1]
+    tags = [record["values"] for record, _ in records(run_dir / JOURNAL) if record["kind"] == "tags"][-1]
+    assert (tags["resumed/optimizer.lr"], tags["resumed/optimizer.weight_decay"]) == ("0.003", "0.002")
+    other = ("optimizer._target_=torch.optim.AdamW", "optimizer.lr=0.003", "steps=12")
+    assert finish(start(run_dir, data, *RUN, *PLAIN_DESCENT, *other)) == [1]
+    assert "error: the run to resume had another optimizer" in output(run_dir)
 
 
 @pytest.fixture(scope="module")

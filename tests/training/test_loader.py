@@ -1,5 +1,6 @@
 """Real loaders: equal batches for any number of ranks and workers, exact resumption, and handling of damage."""
 
+import itertools
 import json
 import os
 import shutil
@@ -201,6 +202,16 @@ def test_missing_and_truncated_shards_are_skipped(root, tmp_path, uninterrupted)
         keys = [key for batch in global_batches(bad, skip_corrupt=True) for key, _ in batch]
     gone = {f"train-00000{i}" for i in range(4)}
     assert keys == [key for batch in uninterrupted for key, _ in batch if key not in gone]
+
+
+def test_a_batch_without_readable_scenes_has_no_weight(root, tmp_path, uninterrupted):
+    lost = [key for key, _ in uninterrupted[1]]
+    bad = damaged(root, tmp_path / "bad", *lost)
+    with pytest.warns(UserWarning, match="skipped"):
+        first, second, third = itertools.islice(datamodule(bad, skip_corrupt=True).train_dataloader(), 3)
+    assert second.keys == ()
+    assert torch.equal(second.image, first.image)
+    assert set(third.keys) == {key for key, _ in uninterrupted[2]} - set(lost)
 
 
 def test_loader_processes_survive_stop_signals(root, uninterrupted):

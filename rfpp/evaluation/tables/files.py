@@ -150,7 +150,6 @@ def _numbers(run: Run | None, index: int, metric: str) -> CsvRow:
 
 
 def _source(row: Row, run: Run | None) -> CsvRow:
-    """Return the source of our numbers. Baselines have no training."""
     evaluations = run.evaluations if run else []
     trained = [] if row.is_baseline else evaluations
     return {

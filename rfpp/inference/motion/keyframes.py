@@ -192,7 +192,6 @@ def _parse(text: bytes) -> dict[str, Any]:
 
 @contextmanager
 def _located(where: str) -> Iterator[None]:
-    """Prefix messages of SceneError with a location."""
     try:
         yield
     except SceneError as error:

@@ -185,7 +185,6 @@ class _Reader:
 
 
 def _matrix(node: Entry) -> Float[np.ndarray, "4 4"]:
-    """Return the transform from a node to its parent."""
     if "matrix" in node:
         return np.reshape(node.get("matrix", MATRIX), (4, 4)).T
     rotation = node.get("rotation", QUATERNION, (0, 0, 0, 1))

@@ -128,7 +128,6 @@ class GltfFile:
 
 
 def _split(content: bytes) -> tuple[bytes, bytes | None]:
-    """Return the JSON and the binary chunk of a GLB file."""
     if content[:4] != b"glTF" or len(content) < 20:
         raise SceneError("is not a GLB file: export it again")
     version, length = struct.unpack_from("<II", content, 4)

@@ -77,7 +77,6 @@ class GltfMaterials:
         return rows, present, f"{name} ({why})" if why else ""
 
     def _rows(self, material: Entry, geometry: Geometry, colors: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
-        """Return the material and the alpha of each face."""
         pbr, faces = material.entry("pbrMetallicRoughness"), len(geometry.faces)
         self.normal_maps |= "normalTexture" in material
 
@@ -123,7 +122,6 @@ class GltfMaterials:
                         yield io.BytesIO(self._image(source))
 
     def _source(self, info: Entry) -> int | None:
-        """Return the image of a texture that can be read."""
         texture = self.file.document.at("textures", info.get("index", INDEX, 0))
         return texture.entry("extensions", "EXT_texture_webp").get("source", INDEX, texture.get("source", INDEX))
 

@@ -84,7 +84,6 @@ def _merged(parts: list[Part]) -> list[Part]:
 
 
 def _joined(parts: Sequence[Part]) -> Part:
-    """Join parts; name and shading are those of the first."""
     starts = np.cumsum([0, *(len(part.vertices) for part in parts[:-1])])
     return replace(
         parts[0],
@@ -103,7 +102,6 @@ def _centers(part: Part, piece: np.ndarray, count: int) -> np.ndarray:
 
 
 def _unique(names: Sequence[str]) -> list[str]:
-    """Append a number to repeated names."""
     result: list[str] = []
     for name in names:
         candidates = (name, *(f"{name}_{number}" for number in range(2, len(names) + 2)))

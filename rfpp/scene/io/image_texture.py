@@ -155,7 +155,6 @@ def _pixels(content: bytes, color: bool, left: int) -> tuple[Float[np.ndarray, "
 
 
 def _opened(file: io.BufferedIOBase) -> Image.Image:
-    """An image of which only the header is read."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # bounded before it is decoded
         return Image.open(file, formats=_FORMATS)

@@ -111,7 +111,6 @@ def _rig_light(camera: Camera, name: str, azimuth: float, elevation: float, radi
 
 
 def _triangle(name: str, center: np.ndarray, normal: np.ndarray, edge: float, radiance: np.ndarray) -> Part:
-    """Return an equilateral triangle."""
     aside = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
     aside /= np.linalg.norm(aside)
     angles = np.radians([0, 120, 240])[:, None]

@@ -125,7 +125,6 @@ def _file(path: Path, up: str | None) -> ImportedScene:
 
 
 def _folder(folder: Path, up: str | None) -> ImportedScene:
-    """Read every mesh file in a folder into one common space."""
     try:
         files = sorted(path for path in folder.iterdir() if path.suffix.lower() in _READERS)
     except OSError as error:

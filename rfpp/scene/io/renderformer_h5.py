@@ -182,7 +182,6 @@ def _check_shapes(file: h5py.File) -> None:
 
 
 def _require_cameras(c2w: Float[np.ndarray, "v 4 4"], fov: np.ndarray) -> None:
-    """Raise SceneError for invalid poses and angles."""
     if not ((fov > 0) & (fov < 180)).all():
         raise SceneError("fov: not between 0 and 180 degrees: convert the scene again")
     axes = c2w[:, :3, :3].astype(np.float64)
@@ -229,7 +228,6 @@ def _slabs(texture: h5py.Dataset) -> Iterator[slice]:
 
 
 def _patches(material: Float[np.ndarray, "m 10"]) -> Float[np.ndarray, "m 13 p p"]:
-    """Return constant patches, as recognized by `is_constant`."""
     values = np.empty((len(material), TEXTURE_CHANNELS), material.dtype)
     values[:, MATERIAL_CHANNELS], values[:, NORMAL_CHANNELS] = material, FLAT_NORMAL
     return values[:, :, None, None] * covered_cells(_PATCH).astype(material.dtype)
@@ -254,7 +252,6 @@ def _projections(scene: PackedScene, height: int, width: int) -> Float[np.ndarra
 
 
 def _stored_objects(file: h5py.File) -> Int[np.ndarray, " m"]:
-    """Read the objects written by `save_h5`, numbered from 0."""
     index = _dataset(file, _OBJECTS, "convert the scene again")[()]
     if index.shape != file["triangles"].shape[:1] or index.dtype.kind not in "iu":
         raise SceneError(f"{_OBJECTS}: {index.dtype} {index.shape} where one integer per triangle was expected")

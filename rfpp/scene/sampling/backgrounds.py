@@ -120,7 +120,6 @@ def panel_mesh(panel: str) -> Mesh:
 
 
 def _open_region(panels: tuple[str, ...], transforms: tuple[Transform, ...]) -> OpenRegion:
-    """Return the half-spaces in front of the transformed panels."""
     # a transform rotates, then scales: normals take the inverse scale
     normals = np.stack(
         [rotation_matrix(t.rotation) @ PANELS[p] / np.array(t.scale) for p, t in zip(panels, transforms, strict=True)]

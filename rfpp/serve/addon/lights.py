@@ -49,7 +49,6 @@ def _watts(light, matrix: np.ndarray) -> np.ndarray:
 
 
 def _factor_of_nodes(light, name: str, warnings: Warnings) -> np.ndarray:
-    """Return the factor [3] by which a light's nodes multiply it."""
     if tree_of(light) is None:
         return np.ones(3)
     shader = surface_of(light)

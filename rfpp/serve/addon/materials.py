@@ -94,7 +94,6 @@ class Materials:
         return shader.inputs[name].default_value
 
     def _texture(self, material, shader, name: str) -> dict | None:
-        """Return the image connected directly to a color."""
         node = source(shader.inputs[name])
         if node is None or not _is_image(node):
             return None

@@ -55,7 +55,6 @@ def _warn_of_settings(scene, warnings: Warnings) -> None:
 
 
 def _emits(world) -> bool:
-    """Return whether a world may emit light."""
     if tree_of(world) is None:
         return max(world.color) > 0
     background = surface_of(world)
@@ -89,7 +88,6 @@ class _Meshes:
         return self._indices[key]
 
     def _primitives(self, item, mesh) -> list[dict]:
-        """Return a primitive for each material."""
         mesh.calc_loop_triangles()
         triangles = mesh.loop_triangles
         if not len(triangles):

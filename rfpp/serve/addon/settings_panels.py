@@ -79,7 +79,6 @@ _INCLUDED = {"EEVEE_MATERIAL_PT_context_material", "EEVEE_MATERIAL_PT_surface"}
 
 
 def _shared_panels() -> list[type]:
-    """Return Blender's own panels that make sense with this engine."""
     return [
         panel
         for panel in bpy.types.Panel.__subclasses__()

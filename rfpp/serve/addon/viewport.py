@@ -75,7 +75,6 @@ class Viewport:
 
 
 def _texture(picture: np.ndarray):
-    """Return the picture on the GPU, row 0 at the bottom."""
     import gpu  # needs a display
 
     height, width, _ = picture.shape

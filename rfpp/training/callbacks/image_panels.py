@@ -86,7 +86,6 @@ def pictures(network: torch.nn.Module, batch: RaggedBatch, radiance: Tensor) -> 
 
 
 def _image(images: Tensor) -> np.ndarray:
-    """Return the first image, [B, V, 3, H, W] → [H, W, 3]."""
     return images[0, 0].float().clamp_min(0).permute(1, 2, 0).cpu().numpy()
 
 

@@ -25,7 +25,8 @@ class TrainingProgress(L.Callback):
         if self._show is None:
             return
         note = None
-        if trainer.global_step % trainer.log_every_n_steps == 0:  # reading the loss waits for the device
+        is_logged = trainer.global_step and trainer.global_step % trainer.log_every_n_steps == 0
+        if is_logged and "train/loss" in trainer.callback_metrics:  # reading it waits for the device
             note = f"loss {trainer.callback_metrics['train/loss']:.4f}"
         self._show(trainer.global_step, trainer.max_steps, note)
 

@@ -1,15 +1,15 @@
-"""Log throughput, memory and skipped scenes."""
+"""Log losses, throughput, memory and skipped scenes of all devices."""
 
 from __future__ import annotations
 
 import time
 from collections import Counter
 from collections.abc import Mapping
+from typing import Any
 
 import lightning as L
 import psutil
 import torch
-from torch import Tensor
 
 from rfpp.batch import RaggedBatch
 from rfpp.training.flops import published_peak, training_flops
@@ -20,13 +20,15 @@ GIB = 2**30
 
 
 class StepStatistics(L.Callback):
-    """Logs statistics of training, averaged over windows of steps without validation.
+    """Logs statistics of all devices every n steps.
 
-    `throughput/`: steps, scenes, images, triangles and tokens (scene tokens and ray bundles) per second over all
-    devices, `data_wait_fraction` and, on GPUs whose peak rate is listed, `flop_utilization` (MFU): operations of the
-    network's forward and backward passes as a fraction of the published rate. LPIPS does not count.
+    `train/` and `consistency/`: loss terms, means over the scenes of the last step, however these are divided among
+    devices and batches. The others are means since they were last logged, without validation:
+    `throughput/`: steps, scenes, images, triangles and tokens (scene tokens and ray bundles) per second,
+    `data_wait_fraction` of the device that waits longest and, on GPUs whose peak rate is listed, `flop_utilization`
+    (MFU): operations of the network's forward and backward passes as a fraction of that rate, without LPIPS.
     `memory/`: GiB. On a GPU `allocated`, and `peak` in the window, of PyTorch's allocator; else `resident` memory of
-    the process without its loaders.
+    the process without its loaders; of the device that uses most.
     `data/skipped`: scenes skipped since the run was started or resumed, over all devices.
     """
 
@@ -38,6 +40,7 @@ class StepStatistics(L.Callback):
         self._peak_rate = published_peak(trainer.strategy.root_device, dtype)
         self._counted_at = None
         self._skipped = 0
+        self._one = torch.ones((), device=trainer.strategy.root_device)
         self._begin_window()
 
     def on_train_batch_start(self, trainer: L.Trainer, module: L.LightningModule, batch: RaggedBatch, _: int) -> None:
@@ -54,10 +57,12 @@ class StepStatistics(L.Callback):
         self,
         trainer: L.Trainer,
         module: L.LightningModule,
-        outputs: Mapping[str, Tensor],
+        outputs: Mapping[str, Any],
         batch: RaggedBatch,
         batch_index: int,
     ) -> None:
+        sums = len(batch.keys) * torch.stack([*outputs["terms"].values(), self._one])
+        self._sums = sums if batch_index % trainer.accumulate_grad_batches == 0 else self._sums + sums
         images = len(batch.keys) * batch.num_views
         height, width = batch.resolution
         bundles = images * (height // module.network.patch_size) * (width // module.network.patch_size)
@@ -69,22 +74,31 @@ class StepStatistics(L.Callback):
             triangles=batch.objects.total,
             tokens=int(outputs["tokens"]) + bundles,
         )
-        steps = self._batches // trainer.accumulate_grad_batches
-        if steps == self.every_n_steps:
-            elapsed = time.perf_counter() - self._begin
-            rates = {f"throughput/{name}_per_s": trainer.world_size * n / elapsed for name, n in self._counts.items()}
-            values = {
-                "throughput/steps_per_s": steps / elapsed,
-                **rates,
-                "throughput/data_wait_fraction": self._waited / elapsed,
-                **_memory(trainer.strategy.root_device),
-            }
-            if self._peak_rate:
-                values["throughput/flop_utilization"] = self._flops * self._batches / elapsed / self._peak_rate
-            module.log_dict(values, batch_size=1)
-            module.log("data/skipped", float(self._skipped), sync_dist=True, reduce_fx="sum", batch_size=1)
+        is_step = (batch_index + 1) % trainer.accumulate_grad_batches == 0
+        if is_step and trainer.global_step % self.every_n_steps == 0:
+            *sums, scenes = trainer.strategy.reduce(self._sums, reduce_op="sum")
+            module.log_dict(
+                {name: value / scenes.clamp(min=1) for name, value in zip(outputs["terms"], sums, strict=True)}
+            )
+            module.log_dict(self._statistics(trainer))
             self._begin_window()
         self._batch_end = time.perf_counter()
+
+    def _statistics(self, trainer: L.Trainer) -> dict[str, float]:
+        elapsed, device = time.perf_counter() - self._begin, trainer.strategy.root_device
+        highest = {"throughput/data_wait_fraction": self._waited / elapsed} | _memory(device)
+        counts = [*self._counts.values(), self._skipped]
+        *counts, skipped = trainer.strategy.reduce(torch.tensor(counts, device=device), reduce_op="sum").tolist()
+        most = trainer.strategy.reduce(torch.tensor([*highest.values()], device=device), reduce_op="max").tolist()
+        values = {
+            "throughput/steps_per_s": self._batches / trainer.accumulate_grad_batches / elapsed,
+            **{f"throughput/{name}_per_s": n / elapsed for name, n in zip(self._counts, counts, strict=True)},
+            **dict(zip(highest, most, strict=True)),
+            "data/skipped": skipped,
+        }
+        if self._peak_rate:
+            values["throughput/flop_utilization"] = self._flops * self._batches / elapsed / self._peak_rate
+        return values
 
     def on_validation_start(self, trainer: L.Trainer, module: L.LightningModule) -> None:
         self._validation_begin = time.perf_counter()

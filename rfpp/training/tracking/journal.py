@@ -35,7 +35,7 @@ class Journal:
         self.path = path
         self._lock = threading.Lock()
         self._last_steps: dict[str, int] = {}
-        self._parameters: set[str] = set()
+        self._parameters: dict[str, str] = {}
         self.starts = 0
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -54,10 +54,11 @@ class Journal:
         if new:
             self.append("metrics", step=step, values=new)
 
-    def parameters(self, values: Mapping[str, str]) -> None:
-        """Append parameters that have no value yet; MLflow's parameters cannot be changed."""
+    def parameters(self, values: Mapping[str, str]) -> dict[str, str]:
+        """Append parameters that have no value yet, and return those with another: MLflow's cannot be changed."""
         if new := {name: value for name, value in values.items() if name not in self._parameters}:
             self.append("parameters", values=new)
+        return {name: value for name, value in values.items() if value != self._parameters[name]}
 
     def append(self, kind: str, **content: Any) -> None:
         """Append a record.
@@ -85,7 +86,7 @@ class Journal:
             case "metrics":
                 self._last_steps |= dict.fromkeys(record["values"], record["step"])
             case "parameters":
-                self._parameters |= record["values"].keys()
+                self._parameters |= record["values"]
             case "status":
                 self.starts += record["value"] == "RUNNING"
 

@@ -56,7 +56,6 @@ class MlflowLogger(RunLogger):
 
     @property
     def _sender(self) -> Sender | None:
-        """Sender; None on other ranks."""
         return self._sends if rank_zero_only.rank == 0 and self._journal else None
 
     @property

@@ -93,9 +93,13 @@ class RunLogger(Logger):
 
     @rank_zero_only
     def describe(self, config: dict[str, Any], config_file: Path, manifest: Manifest, tags: Mapping[str, str]) -> None:
-        """Log config (as parameters and as a file), data set, code, machine, and the number of restarts."""
-        self.log_hyperparams(config)
+        """Log config (as parameters and as a file), data set, code, machine, and the number of restarts.
+
+        Settings that have changed since the run began are tags, `resumed/optimizer.lr` for instance.
+        """
+        changed = self._journal.parameters(flattened(config))
         tags = {**tags, **machine_tags(), "resumed": str(self._journal.starts - 1)}
+        tags |= {f"resumed/{name}": value for name, value in changed.items()}
         self._journal.append("tags", values=tags)
         self.log_file(config_file, "config")
         if changes := code_changes():
@@ -123,7 +127,6 @@ class RunLogger(Logger):
         self._end()
 
     def _relative(self, path: Path) -> str:
-        """Path relative to the run folder, which may be moved."""
         return str(Path(path).absolute().relative_to(self.run_dir.absolute()))
 
     def _write_table(self) -> None:

@@ -58,7 +58,6 @@ class ObjaverseObjects(LibraryObjects):
                 yield replace(original, path=None if path is None else Path(path))
 
     def _listed(self) -> list[str]:
-        """Return the uids in the file, sorted and without repetitions."""
         path = Path(self.uids).expanduser().absolute()
         try:
             return _listed(path, path.stat().st_mtime_ns)
