@@ -53,8 +53,9 @@ def main(cfg: DictConfig) -> Path | None:
     L.seed_everything(cfg.seed, verbose=False)
     torch.set_float32_matmul_precision("high")
 
-    require_devices(cfg.trainer)
-    data = instantiate(cfg.datamodule.source).manifest  # before the network is built, which takes long
+    require_devices(cfg.trainer)  # what may be missing is asked for before the network is built, which takes long
+    logger = instantiate(cfg.logger)
+    data = instantiate(cfg.datamodule.source).manifest
     run_dir = Path(cfg.run_dir)
     network = instantiate(cfg.model, _convert_="all")
     model = OmegaConf.to_container(cfg.model, resolve=True)
@@ -72,7 +73,6 @@ def main(cfg: DictConfig) -> Path | None:
     datamodule = instantiate(cfg.datamodule, **reads, _convert_="all")
     plan = plan_training(cfg.trainer, precision, datamodule.batching.accumulation)
     config = OmegaConf.to_container(cfg, resolve=True) | {PLAN_KEY: asdict(plan)}
-    logger = instantiate(cfg.logger)
     info = CheckpointInfo(
         model=model,
         resolution=(cfg.data.resolution, cfg.data.resolution),

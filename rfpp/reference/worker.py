@@ -120,8 +120,9 @@ class Slot:
         context = multiprocessing.get_context("spawn")
         self.connection, theirs = context.Pipe()
         with _running_on(self.cores), blocked_in_children():  # only the first process decides on Ctrl-C
-            self.process = context.Process(target=_serve, args=(theirs,), daemon=True)
-            self.process.start()
+            process = context.Process(target=_serve, args=(theirs,), daemon=True)
+            process.start()
+            self.process = process
         theirs.close()
 
 
@@ -156,8 +157,7 @@ def _leave(*_: object) -> None:
     may be left to do it.
     """
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
-    if hasattr(signal, "alarm"):
-        signal.alarm(_UNWINDING)
+    signal.alarm(_UNWINDING)
     nowhere = os.open(os.devnull, os.O_WRONLY)
     for stream in (1, 2):
         os.dup2(nowhere, stream)

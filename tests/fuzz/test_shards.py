@@ -1,5 +1,3 @@
-"""Damaged shards decode or raise a ShardError that names the damage."""
-
 import json
 import os
 from collections.abc import Callable

@@ -1,18 +1,19 @@
-"""The farm: order, pinning, recycling, retries, dead workers, early exit."""
-
 import atexit
 import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from multiprocessing import active_children
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import pytest
 
+from rfpp.child_signals import blocked_in_children
 from rfpp.errors import SceneError, UserError
 from rfpp.reference.farm import RenderFarm
 from rfpp.reference.worker import WorkerDeathError, WorkerHangError
@@ -144,6 +145,19 @@ def test_control_c_reaches_no_worker_not_even_one_that_is_being_started():
         interrupted = thread.submit(interrupt)
         assert list(farm.map(slow_square, [2], attempts=1)) == [(2, 4)]
         interrupted.result()
+
+
+def test_a_signal_to_another_thread_while_a_worker_starts_is_handled_afterwards(request):
+    handled = []
+    request.addfinalizer(partial(signal.signal, signal.SIGUSR1, signal.getsignal(signal.SIGUSR1)))
+    signal.signal(signal.SIGUSR1, lambda *_: handled.append("once"))
+    with ThreadPoolExecutor(1) as thread:
+        another = thread.submit(threading.get_ident).result()
+        with blocked_in_children([signal.SIGUSR1]):
+            signal.pthread_kill(another, signal.SIGUSR1)
+            time.sleep(0.1)
+            assert handled == []
+    assert handled == ["once"]
 
 
 def test_workers_are_recycled():

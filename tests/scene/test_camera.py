@@ -1,5 +1,3 @@
-"""The camera's axes and its pixels."""
-
 from __future__ import annotations
 
 import numpy as np

@@ -1,5 +1,3 @@
-"""Counting operations."""
-
 import numpy as np
 import pytest
 from networks import network

@@ -1,5 +1,3 @@
-"""Decisions before training: accumulation, validation interval, precision."""
-
 import warnings
 
 import pytest

@@ -1,5 +1,3 @@
-"""Warm-up, then cosine."""
-
 from itertools import pairwise
 
 import pytest

@@ -1,5 +1,3 @@
-"""A padded batch is the batch: the same images, losses and gradients."""
-
 import numpy as np
 import pytest
 import torch

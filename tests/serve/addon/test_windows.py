@@ -1,5 +1,3 @@
-"""Windows of Blender's projections."""
-
 import numpy as np
 from addon_modules import addon
 
