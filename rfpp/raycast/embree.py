@@ -86,7 +86,7 @@ class Structure:
         self._index = np.arange(3 * len(corners), dtype=np.uint32)
         # Embree reads 16 bytes at each corner, so behind the last one as well
         self._corners = np.append(corners.reshape(-1).astype(np.float32), np.float32(0))
-        self._library = library = embree()  # kept: at exit, this may outlive the names of the module
+        library = embree()
         self._device = library.rtcNewDevice(None)
         self.address = library.rtcNewScene(self._device)
         library.rtcSetSceneFlags(self.address, _ROBUST)
@@ -103,8 +103,8 @@ class Structure:
 
     def __del__(self) -> None:
         if hasattr(self, "address"):
-            self._library.rtcReleaseScene(self.address)
-            self._library.rtcReleaseDevice(self._device)
+            embree().rtcReleaseScene(self.address)
+            embree().rtcReleaseDevice(self._device)
 
 
 #: Numbers of a ray and its hit (`RTCRayHit`), padded.
