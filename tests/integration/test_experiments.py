@@ -79,12 +79,12 @@ def test_every_benchmark_composes(benchmark, composed):
 @pytest.mark.parametrize(
     "experiment", ["quickstart", "large_scale", "renderformer_data", *(f"[large_scale,{v}]" for v in OTHER_STEPS)]
 )
-def test_one_step_on_a_cpu(experiment, composed, data, tmp_path):
+def test_one_step_on_a_cpu_on_the_data_set_of_the_repository(experiment, composed, tmp_path):
     from launch.train import main
 
     cfg = composed(
-        "train", f"experiment={experiment}", "debug=cpu", "logger=none", "steps=1", f"data.root={data}",
-        "data.resolution=8", "loss.lpips_weight=0.0", "initial_weights=null", f"run_dir={tmp_path}",
+        "train", f"experiment={experiment}", "debug=cpu", "logger=none", "steps=1", "loss.lpips_weight=0.0",
+        "initial_weights=null", f"run_dir={tmp_path}",
     )  # fmt: skip
     assert main.__wrapped__(cfg) == tmp_path / "checkpoints" / "best.ckpt"
 
