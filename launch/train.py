@@ -21,6 +21,7 @@ from pathlib import Path
 import lightning as L
 import torch
 from hydra.utils import instantiate
+from lightning.pytorch.utilities import rank_zero_only
 from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
 
@@ -29,9 +30,10 @@ from rfpp.commands import entry_point, write_config
 from rfpp.metrics.image import ImageMetrics
 from rfpp.training.blocks import compile_blocks
 from rfpp.training.callbacks.finite_gradients import NonFiniteGradientError
-from rfpp.training.checkpoint_files import checkpoint_to_resume, point_at
+from rfpp.training.checkpoint_files import AUTO, checkpoint_to_resume, point_at
 from rfpp.training.module import RenderingModule
 from rfpp.training.plan import PLAN_KEY, choose_acceleration, choose_precision, plan_training, require_devices
+from rfpp.training.rollback import continues_job, roll_back
 from rfpp.training.run import locked, trainer_plugins
 from rfpp.training.steps import CapturedStep, PlainStep
 from rfpp.training.stopping import StoppedError, exit_early
@@ -59,7 +61,8 @@ def main(cfg: DictConfig) -> Path | None:
     run_dir = Path(cfg.run_dir)
     network = instantiate(cfg.model, _convert_="all")
     model = OmegaConf.to_container(cfg.model, resolve=True)
-    resumed = checkpoint_to_resume(cfg.checkpoint, run_dir / "checkpoints", model)
+    choice = AUTO if continues_job(run_dir) else cfg.checkpoint
+    resumed = checkpoint_to_resume(choice, run_dir / "checkpoints", model)
     if cfg.initial_weights and resumed is None:
         load_initial_weights(network, cfg.initial_weights)
     checkpointing = instantiate(cfg.get("activation_checkpointing"))
@@ -73,49 +76,51 @@ def main(cfg: DictConfig) -> Path | None:
     datamodule = instantiate(cfg.datamodule, **reads, _convert_="all")
     plan = plan_training(cfg.trainer, precision, datamodule.batching.accumulation)
     config = OmegaConf.to_container(cfg, resolve=True) | {PLAN_KEY: asdict(plan)}
-    info = CheckpointInfo(
-        model=model,
-        resolution=(cfg.data.resolution, cfg.data.resolution),
-        data_manifest=data.hash,
-        dataset=data.name,
-        method=cfg.method,
-        seed=cfg.seed,
-        steps=0,
-        commit=code_version(),
-        mlflow_run_id=logger.run_id,
-        mlflow_tracking_uri=logger.tracking_uri,
-    )
-    parts = (instantiate(cfg[name]) for name in ("optimizer", "schedule"))
-    step = PlainStep() if acceleration == "none" else CapturedStep()
-    module = RenderingModule(network, instantiate(cfg.loss), ImageMetrics(lpips=None), *parts, info, step)
-    trainer = instantiate(cfg.trainer, _partial_=True)(  # in two steps: Hydra would treat the logger as a configuration
-        logger=logger,
-        callbacks=list(instantiate(cfg.callbacks).values()),
-        plugins=trainer_plugins(),
-        **plan.trainer_arguments,
-    )
-
+    is_first = rank_zero_only.rank == 0
     console = Console(highlight=False, soft_wrap=True)
-    if trainer.is_global_zero:
-        console.print(start_summary(cfg, plan, network, datamodule, logger, trainer.strategy.root_device))
-        if resumed:
-            console.print(f"Resumes  {resumed}")
     try:
-        with locked(run_dir) if trainer.is_global_zero else nullcontext():
-            if trainer.is_global_zero:
+        with locked(run_dir) if is_first else nullcontext():
+            aside = roll_back(run_dir, resumed) if is_first and choice != AUTO else None
+            info = CheckpointInfo(
+                model=model,
+                resolution=(cfg.data.resolution, cfg.data.resolution),
+                data_manifest=data.hash,
+                dataset=data.name,
+                method=cfg.method,
+                seed=cfg.seed,
+                steps=0,
+                commit=code_version(),
+                mlflow_run_id=logger.run_id,
+                mlflow_tracking_uri=logger.tracking_uri,
+            )
+            parts = (instantiate(cfg[name]) for name in ("optimizer", "schedule"))
+            step = PlainStep() if acceleration == "none" else CapturedStep()
+            module = RenderingModule(network, instantiate(cfg.loss), ImageMetrics(lpips=None), *parts, info, step)
+            trainer = instantiate(cfg.trainer, _partial_=True)(  # Hydra would treat the logger as a configuration
+                logger=logger,
+                callbacks=list(instantiate(cfg.callbacks).values()),
+                plugins=trainer_plugins(),
+                **plan.trainer_arguments,
+            )
+            if is_first:
+                console.print(start_summary(cfg, plan, network, datamodule, logger, trainer.strategy.root_device))
+                if resumed:
+                    console.print(f"Resumes  {resumed}")
+                if aside:
+                    console.print(f"Branch   what came after is in {aside}")
                 config_file = write_config(config, run_dir)
                 point_at(run_dir, run_dir.with_name("latest"))
                 tags = {"code_version": info.commit or "unknown", "data_manifest": info.data_manifest}
                 logger.describe(config, config_file, data, tags | {"run_dir": str(run_dir)})
             trainer.fit(module, datamodule, ckpt_path=resumed, weights_only=True)
     except (StoppedError, NonFiniteGradientError) as stop:
-        if not trainer.is_global_zero:
+        if not is_first:
             return None  # raised on all ranks, reported by the first
         if isinstance(stop, StoppedError):
             exit_early(stop, run_dir)
         raise
     best = Path(trainer.checkpoint_callback.best_model_path or run_dir / "checkpoints" / "last.ckpt")  # not validated
-    if trainer.is_global_zero:
+    if is_first:
         console.print(end_summary(logger, best, cfg.data.root, cfg.callbacks.best.monitor))
     return best
 

@@ -10,11 +10,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from mlflow import MlflowClient
 from small_data import BoxFamily, make
 from training_runs import differing, finish, output, start, train, wait_for_step
 
 from rfpp.training.checkpoint_files import step_file, step_files
-from rfpp.training.tracking.journal import JOURNAL, records
+from rfpp.training.rollback import continues_job
+from rfpp.training.tracking.journal import JOURNAL, RUN_FILE, Journal, records
+from rfpp.training.tracking.mlflow_run import store_uri
 
 STEPS = 10
 RUN = (f"steps={STEPS}", "trainer.val_check_interval=4", "datamodule.source.validation_scenes=3")
@@ -148,6 +151,39 @@ def test_a_resumed_run_takes_the_settings_of_its_command(folder, data, alone):
 def alone(folder, data):
     train(folder / "alone", data, *RUN, *PLAIN_DESCENT)
     return folder / "alone"
+
+
+def test_going_back_is_a_branch_that_keeps_what_it_left(folder, data, alone):
+    """From step 9 with another learning rate, and from there with the first one again."""
+    run_dir = folder / "branches"
+    for part in ("checkpoints", "tracking"):
+        shutil.copytree(alone / part, run_dir / part, symlinks=True)
+    left, run = last(alone), json.loads((alone / RUN_FILE).read_bytes())["run_id"]
+    choice = f"checkpoint={step_file(run_dir / 'checkpoints', STEPS - 1)}"
+    train(run_dir, data, *RUN, *PLAIN_DESCENT, choice, "optimizer.lr=0.003")
+    assert f"Branch   what came after is in {run_dir}/rolled_back/1" in output(run_dir)
+    aside = run_dir / "rolled_back" / "1"
+    assert differing(torch.load(step_file(aside / "checkpoints", STEPS), weights_only=True), left) == []
+    assert logged(aside) == logged(alone)
+    assert [row for row in logged(run_dir) if row[0] < STEPS] == [row for row in logged(alone) if row[0] < STEPS]
+    assert {row[0] for row in logged(run_dir)} == {row[0] for row in logged(alone)}
+    client = MlflowClient(store_uri(folder))
+    new = client.get_run(json.loads((run_dir / RUN_FILE).read_bytes())["run_id"])
+    assert (new.data.tags["branch/step"], new.data.tags["branch/left_run"]) == (str(STEPS - 1), run)
+    assert new.data.params["optimizer.lr"] == "0.003"
+    assert len(client.get_metric_history(new.info.run_id, "train/loss")) == STEPS
+    again = train(run_dir, data, *RUN, *PLAIN_DESCENT, choice)
+    assert differing(again, left) == []
+    assert logged(run_dir) == logged(alone)
+    assert (run_dir / "rolled_back" / "2").is_dir()
+
+
+def test_a_requeued_job_does_not_go_back_again(tmp_path, monkeypatch):
+    Journal(tmp_path / JOURNAL).append("tags", values={"slurm_job_id": "7"})
+    for restarts, job, expected in (("0", "7", False), ("1", "7", True), ("1", "8", False)):
+        monkeypatch.setenv("SLURM_RESTART_COUNT", restarts)
+        monkeypatch.setenv("SLURM_JOB_ID", job)
+        assert continues_job(tmp_path) is expected
 
 
 def test_ranks_stop_together_when_one_is_told_to_and_say_how_to_go_on(folder, data, two_ranks):

@@ -15,6 +15,8 @@ from rfpp.errors import UserError
 
 #: Path of the journal in a run's folder.
 JOURNAL = Path("tracking") / "journal.jsonl"
+#: File beside it that names the run in MLflow.
+RUN_FILE = Path("tracking") / "run.json"
 
 #: A record: its `kind`, the `time` when it was written (milliseconds since 1970), and its content.
 Record = dict[str, Any]

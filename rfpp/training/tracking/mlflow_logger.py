@@ -7,8 +7,8 @@ from pathlib import Path
 
 from lightning.pytorch.utilities import rank_zero_only
 
-from rfpp.training.tracking.journal import Journal
-from rfpp.training.tracking.mlflow_run import RUN_FILE, MlflowRun
+from rfpp.training.tracking.journal import RUN_FILE, Journal
+from rfpp.training.tracking.mlflow_run import MlflowRun
 from rfpp.training.tracking.run_logger import RunLogger
 from rfpp.training.tracking.sending import Sender
 

@@ -15,8 +15,6 @@ from mlflow import MlflowClient
 from rfpp.errors import UserError
 from rfpp.files import write_atomically
 
-#: File in a run's folder that names its MLflow run.
-RUN_FILE = Path("tracking") / "run.json"
 #: The sender retries by itself; MLflow's own retries take minutes.
 ONE_TRY = {"MLFLOW_HTTP_REQUEST_MAX_RETRIES": "0", "MLFLOW_HTTP_REQUEST_TIMEOUT": "30"}
 #: Tag that identifies the MLflow run of a run folder, even if a process died before it received the run's id.

@@ -14,8 +14,8 @@ from mlflow import MlflowClient
 from mlflow.entities import Dataset, DatasetInput, InputTag, Metric, Param, RunTag
 from mlflow.exceptions import MlflowException
 
-from rfpp.training.tracking.journal import JOURNAL, Record, records
-from rfpp.training.tracking.mlflow_run import RUN_FILE, MlflowRun, connect
+from rfpp.training.tracking.journal import JOURNAL, RUN_FILE, Record, records
+from rfpp.training.tracking.mlflow_run import MlflowRun, connect
 from rfpp.training.tracking.registry import FOLDER, first_line
 
 #: MLflow's errors that repeat however often a request is sent.
