@@ -98,7 +98,7 @@ def main(cfg: DictConfig) -> Path | None:
             module = RenderingModule(network, instantiate(cfg.loss), ImageMetrics(lpips=None), *parts, info, step)
             trainer = instantiate(cfg.trainer, _partial_=True)(  # Hydra would treat the logger as a configuration
                 logger=logger,
-                callbacks=list(instantiate(cfg.callbacks).values()),
+                callbacks=[callback for callback in instantiate(cfg.callbacks).values() if callback],
                 plugins=trainer_plugins(),
                 **plan.trainer_arguments,
             )

@@ -52,7 +52,7 @@ class Material(Strict):
         diffuse: diffuse albedo, linear RGB in [0, 1].
         specular: albedo of the specular lobe at all angles (no Fresnel term), linear RGB in [0, 1].
         roughness: perceptual roughness in [0, 1]; the GGX alpha is its square.
-        emissive: emitted radiance, linear RGB, of both sides of each triangle.
+        emissive: emitted radiance, linear RGB, of both sides of each triangle, or of the front only if `one_sided`.
         smooth_shading: interpolate normals across edges flatter than 30 degrees.
         rand_tri_diffuse_seed: if set, random colors drawn with this seed replace diffuse.
         random_diffuse_max: upper bound of those colors.

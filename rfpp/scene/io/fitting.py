@@ -98,6 +98,7 @@ def _objects(parts: list[Part], path: Path) -> Iterator[SceneObject]:
                 specular=tuple(mean[SPECULAR].tolist()),
                 roughness=mean[ROUGHNESS].item(),
                 emissive=tuple(mean[EMISSION].tolist()),
+                one_sided=part.one_sided and part.is_light,
                 smooth_shading=part.smooth,
             ),
             transform=Transform(translation=tuple(center.tolist()), normalize=False),

@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from rfpp.errors import SceneError
 from rfpp.scene.io.gltf_file import GltfFile
-from rfpp.scene.io.gltf_json import INDEX, INDICES, MATRIX, POSITIVE, QUATERNION, RGB, TEXT, VECTOR, YFOV, Entry
+from rfpp.scene.io.gltf_json import FLAG, INDEX, INDICES, MATRIX, POSITIVE, QUATERNION, RGB, TEXT, VECTOR, YFOV, Entry
 from rfpp.scene.io.gltf_material import GltfMaterials
 from rfpp.scene.io.gltf_primitive import Geometry
 from rfpp.scene.io.imported_scene import BEYOND, ImportedScene, Lamp, Part, name_of, z_up
@@ -112,7 +112,8 @@ class _Reader:
                 if material and len(mesh.items("primitives")) > 1:
                     name += f" {name_of(material.get('name', TEXT, ''), material.where)}"
                 rows, present, see_through = self.materials.rows(material, geometry)
-                yield Part(name, z_up(world), faces, rows, geometry.is_smooth, see_through).only(present)
+                one_sided = material is not None and not material.get("doubleSided", FLAG, False)
+                yield Part(name, z_up(world), faces, rows, geometry.is_smooth, see_through, one_sided).only(present)
         except SceneError as error:
             raise SceneError(f"'{label}': {error}") from None
 

@@ -6,7 +6,7 @@
 | specular | F0 · (1 − metallic) + base color · metallic |
 | F0 | ((ior − 1) / (ior + 1))² · specular factor · specular color factor, at most 1; 0.04 by default |
 | roughness | roughness: both square it |
-| emitted radiance | emissive factor · emissive strength |
+| emitted radiance | emissive factor · emissive strength, of the front only unless `doubleSided` |
 
 F0 is glTF's reflectance at normal incidence, and the specular albedo here at every angle: there is no Fresnel term. The
 two albedos add up to at most 1. Textures of base color, metallic and roughness, and emission are multiplied with the

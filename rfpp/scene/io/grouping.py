@@ -90,6 +90,7 @@ def _joined(parts: Sequence[Part]) -> Part:
         vertices=np.concatenate([part.vertices for part in parts]),
         faces=np.concatenate([part.faces + start for part, start in zip(parts, starts, strict=True)]),
         material=np.concatenate([part.material for part in parts]),
+        one_sided=all(part.one_sided for part in parts),
     )
 
 

@@ -35,6 +35,7 @@ class Part:
         material: [F, 10] float32, rows of `SceneTriangles.material`.
         smooth: interpolate normals across edges flatter than 30 degrees.
         see_through: name of the transparent material and the reason; empty if the part is opaque.
+        one_sided: emitted light leaves the front only.
 
     Raises:
         SceneError: If a face index is out of range, or a vertex or a material is NaN, infinite or too large.
@@ -46,6 +47,7 @@ class Part:
     material: Float[np.ndarray, "f 10"]
     smooth: bool
     see_through: str = ""
+    one_sided: bool = False
 
     def __post_init__(self) -> None:
         if len(self.faces) and not 0 <= self.faces.min() <= self.faces.max() < len(self.vertices):

@@ -3,9 +3,11 @@
 - Point light: a tetrahedron with edges of 0.05 and radiance 4 · intensity / surface; exact in the mean over directions,
   within 18% in each.
 - Spot light: one triangle with edges of 0.05 facing its direction, with radiance intensity / area; exact along the
-  axis. It falls off as a cosine instead of at a cone, and shines backwards as well.
+  axis. It falls off as a cosine instead of at a cone.
 - Directional light: one triangle with edges of 0.16, 2.4 from the origin and facing it, with radiance irradiance · 2.4²
   / area; exact at the origin.
+
+Both shine from their front only.
 
 The brightness of a scene is the mean unoccluded irradiance of its surfaces. Below a fiftieth of the brightness of
 training scenes, three lights are added around the first camera; above twenty times that, lights are dimmed to it.
@@ -19,7 +21,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from rfpp.scene.io.imported_scene import ImportedScene, Lamp, Part
 from rfpp.scene.spec import Camera
@@ -69,9 +71,11 @@ def emitter(lamp: Lamp) -> Part:
         surface = np.sqrt(3) * _LAMP_EDGE**2
         return _light(lamp.name, lamp.position + _LAMP_EDGE * _TETRAHEDRON, _SIDES, 4 * lamp.strength / surface)
     if lamp.kind == "spot":
-        return _triangle(lamp.name, lamp.position, lamp.direction, _LAMP_EDGE, lamp.strength / _area(_LAMP_EDGE))
-    radiance = lamp.strength * _LIGHT_DISTANCE**2 / _area(_LIGHT_EDGE)
-    return _triangle(lamp.name, -_LIGHT_DISTANCE * lamp.direction, lamp.direction, _LIGHT_EDGE, radiance)
+        position, edge, radiance = lamp.position, _LAMP_EDGE, lamp.strength / _area(_LAMP_EDGE)
+    else:
+        position, edge = -_LIGHT_DISTANCE * lamp.direction, _LIGHT_EDGE
+        radiance = lamp.strength * _LIGHT_DISTANCE**2 / _area(_LIGHT_EDGE)
+    return replace(_triangle(lamp.name, position, lamp.direction, edge, radiance), one_sided=True)
 
 
 def irradiance(parts: Sequence[Part]) -> float:
@@ -80,27 +84,33 @@ def irradiance(parts: Sequence[Part]) -> float:
     if not surfaces or not lights:
         return 0.0
     rng = np.random.default_rng(0)
-    points, normals, _ = _sampled(rng, surfaces, [part.areas for part in surfaces])
+    points, normals, *_ = _sampled(rng, surfaces, [part.areas for part in surfaces])
     power = [part.areas * part.material[:, EMISSION].mean(axis=1, dtype=np.float64) for part in lights]
-    places, facing, each = _sampled(rng, lights, power)
+    places, facing, is_one_sided, each = _sampled(rng, lights, power)
     towards = places - points[:, None]
     squared = np.maximum((towards**2).sum(-1), 1e-4)
-    cosines = np.abs((towards * normals[:, None]).sum(-1) * (towards * facing).sum(-1)) / squared
+    leaving = -(towards * facing).sum(-1)
+    leaving = np.where(is_one_sided, np.maximum(leaving, 0), np.abs(leaving))
+    cosines = np.abs((towards * normals[:, None]).sum(-1)) * leaving / squared
     return float((each * cosines / squared).sum(axis=1).mean())
 
 
 def _sampled(
     rng: np.random.Generator, parts: Sequence[Part], weights: Sequence[np.ndarray]
-) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"], float]:
-    """Draw faces in proportion to their weight; return their centers, unit normals, and the weight of each draw."""
+) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"], Bool[np.ndarray, " n"], float]:
+    """Draw faces in proportion to their weight.
+
+    Returns their centers, unit normals, whether they are one-sided, and the weight of each draw.
+    """
     weight = np.concatenate(weights)
     if not weight.sum() > 0:
-        return np.zeros((1, 3)), np.zeros((1, 3)), 0.0
+        return np.zeros((1, 3)), np.zeros((1, 3)), np.zeros(1, bool), 0.0
     chosen = rng.choice(len(weight), _SAMPLES, p=weight / weight.sum())
     corners = np.concatenate([part.corners for part in parts])[chosen]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     lengths = np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), np.finfo(float).tiny)
-    return corners.mean(axis=1), normals / lengths, weight.sum() / _SAMPLES
+    is_one_sided = np.repeat([part.one_sided for part in parts], [len(part) for part in parts])[chosen]
+    return corners.mean(axis=1), normals / lengths, is_one_sided, weight.sum() / _SAMPLES
 
 
 def _rig_light(camera: Camera, name: str, azimuth: float, elevation: float, radiance: float) -> Part:

@@ -61,7 +61,7 @@ def _factor_of_nodes(light, name: str, warnings: Warnings) -> np.ndarray:
 
 
 def _add_area(glb: Glb, light, name: str, matrix: np.ndarray, watts: np.ndarray, warnings: Warnings) -> None:
-    """Add a white, diffuse emitter, like the lights of training scenes."""
+    """Add a white, diffuse emitter that shines from its front, as glTF's surfaces do unless they are double-sided."""
     width = light.size
     height = light.size_y if light.shape in ("RECTANGLE", "ELLIPSE") else width
     corners = _outline(light.shape in ("DISK", "ELLIPSE")) * (width / 2, height / 2, 1.0)
@@ -71,7 +71,6 @@ def _add_area(glb: Glb, light, name: str, matrix: np.ndarray, watts: np.ndarray,
     if not area > 0:
         warnings["Area lights without an area are omitted"].append(name)
         return
-    warnings["Area lights emit to both sides"].append(name)
     material = glb.add("materials", {"name": name} | emission(diffuse((1, 1, 1)), watts / (math.pi * area), 1.0))
     arrays = {"attributes": {"POSITION": glb.array(corners)}, "indices": glb.array(faces.reshape(-1))}
     glb.node(name, matrix, mesh=glb.add("meshes", {"primitives": [arrays | {"material": material}]}))

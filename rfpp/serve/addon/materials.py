@@ -34,7 +34,7 @@ class Materials:
     def index(self, material) -> int:
         """Return the index of a `bpy.types.Material`."""
         if material.name_full not in self._indices:
-            entry = {"name": material.name} | self._entry(material)
+            entry = {"name": material.name, "doubleSided": True} | self._entry(material)
             self._indices[material.name_full] = self._glb.add("materials", entry)
         return self._indices[material.name_full]
 

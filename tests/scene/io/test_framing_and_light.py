@@ -1,6 +1,7 @@
 """Where imported scenes stand, what sees them, and that they are lit as brightly as their files say."""
 
 import warnings
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -119,6 +120,7 @@ def test_the_estimated_irradiance_is_that_of_the_ray_caster() -> None:
     light = emitter(lamp("directional", direction=(0.6, 0, -0.8), strength=3.0))
     triangles = pack((part().corners, material(diffuse=0.5)), (light.corners, light.material[0]))
     assert irradiance(parts_of(triangles)) == pytest.approx(cast(triangles), rel=0.05)
+    assert irradiance([part(), replace(light, faces=light.faces[:, ::-1])]) == 0  # it faces away, and has a dark back
 
 
 def test_dark_scenes_get_three_lights() -> None:

@@ -33,7 +33,8 @@ def test_a_scene_of_everything_together(tmp_path: Path) -> None:
     checker = np.full((2, 2, 3), 255) * np.array([[[1], [0]], [[0], [1]]])
     floor = {"pbrMetallicRoughness": {"baseColorTexture": builder.texture(checker), "metallicFactor": 0}}
     metal = {"pbrMetallicRoughness": {"baseColorFactor": [0.9, 0.6, 0.2, 1], "roughnessFactor": 0.25}}
-    glow = {"emissiveFactor": [1, 0.5, 0], "extensions": {"KHR_materials_emissive_strength": {"emissiveStrength": 40}}}
+    strength = {"KHR_materials_emissive_strength": {"emissiveStrength": 40}}
+    glow = {"emissiveFactor": [1, 0.5, 0], "doubleSided": True, "extensions": strength}
     half = math.sqrt(0.5)
     plate = builder.node(builder.primitive(material=metal), name="plate", scale=[0.2, 1, 0.2], translation=[0, 0, 0.25])
     table = builder.node(name="table", children=[plate], rotation=[0, half, 0, half], translation=[0, 0.4, 0])
@@ -124,6 +125,19 @@ def test_textures_of_roughness_metal_and_emission_vary_over_the_faces(tmp_path: 
     np.testing.assert_allclose(part.material[:, ROUGHNESS][:, 0], [0.5, 0.1], atol=1e-3)
     np.testing.assert_allclose(part.material[:, SPECULAR], [[0.04] * 3, [1] * 3], atol=1e-3)
     np.testing.assert_allclose(part.material[:, EMISSION], [[2] * 3, [0] * 3], atol=1e-3)  # faint counts as dark
+
+
+@pytest.mark.parametrize("sides", [{}, {"doubleSided": False}, {"doubleSided": True}])
+def test_light_leaves_the_front_only_unless_a_material_is_double_sided(tmp_path: Path, sides: dict) -> None:
+    builder = GltfBuilder()
+    builder.node(builder.primitive(material={"emissiveFactor": [1, 1, 1], **sides}))
+    builder.node(builder.primitive(material={}), translation=[0, 1, 0])
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        scene = load_scene(builder.write(tmp_path))
+    one_sided = {item.material.one_sided for item in scene.objects if item.material.is_emissive}
+    assert one_sided == {not sides.get("doubleSided", False)}
+    assert not any(item.material.one_sided for item in scene.objects if not item.material.is_emissive)
 
 
 def test_texture_transforms_choose_the_region_of_their_example(tmp_path: Path) -> None:

@@ -103,7 +103,6 @@ def test_deviations_are_reported(server, blender, tmp_path):
     said = blender(server, "render_unsupported", tmp_path / "a.exr")
     for line in (
         "Light of the world is omitted: Sky",
-        "Area lights emit to both sides: Panel",
         "Materials without a Principled BSDF have their viewport color: Plain",
         "Coats are ignored: Glazed",
         "Normal and bump maps are ignored: Glazed",
