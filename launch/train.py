@@ -103,7 +103,8 @@ def main(cfg: DictConfig) -> Path | None:
                 **plan.trainer_arguments,
             )
             if is_first:
-                console.print(start_summary(cfg, plan, network, datamodule, logger, trainer.strategy.root_device))
+                summary = start_summary(cfg, plan, network, datamodule, logger, trainer.strategy.root_device)
+                console.print(summary)
                 if resumed:
                     console.print(f"Resumes  {resumed}")
                 if aside:
@@ -111,7 +112,11 @@ def main(cfg: DictConfig) -> Path | None:
                 config_file = write_config(config, run_dir)
                 point_at(run_dir, run_dir.with_name("latest"))
                 tags = {"code_version": info.commit or "unknown", "data_manifest": info.data_manifest}
-                logger.describe(config, config_file, data, tags | {"run_dir": str(run_dir)})
+                tags |= {
+                    "run_dir": str(run_dir),
+                    "mlflow.note.content": f"```\n{summary}\n```",
+                }  # above MLflow's tables
+                logger.describe(config, config_file, data, tags)
             trainer.fit(module, datamodule, ckpt_path=resumed, weights_only=True)
     except (StoppedError, NonFiniteGradientError) as stop:
         if not is_first:

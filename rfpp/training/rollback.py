@@ -44,7 +44,7 @@ def roll_back(run_dir: Path, start: Path | None) -> Path | None:
     later = [path for path in step_files(checkpoints) if int(path.stem.removeprefix("step-")) > step]
     is_best_later = best.exists() and _step(best) > step
     metrics = [record for record in _journal(run_dir) if record["kind"] == "metrics"]
-    if not (later or is_best_later or any(record["step"] > step for record in metrics)):
+    if not (later or is_best_later or any(record["step"] >= step for record in metrics)):
         return None
     aside = next(folder for n in count(1) if not (folder := run_dir / ASIDE / str(n)).exists())
     (aside / "checkpoints").mkdir(parents=True)
@@ -60,7 +60,7 @@ def roll_back(run_dir: Path, start: Path | None) -> Path | None:
     if (run_dir / JOURNAL).exists():
         shutil.copytree(run_dir / JOURNAL.parent, aside / JOURNAL.parent)
         (run_dir / RUN_FILE).unlink(missing_ok=True)
-        kept = [record for record in metrics if record["step"] <= step]
+        kept = [record for record in metrics if record["step"] < step]  # of metrics, the first is 0
         lines = (json.dumps(record) + "\n" for record in [*kept, _origin(aside, step)])
         write_atomically(run_dir / JOURNAL, "".join(lines).encode())
     return aside

@@ -33,7 +33,7 @@ def tracked(tmp_path_factory):
         "experiment=quickstart", "debug=cpu", f"data.root={data}", "data.resolution=8", f"steps={STEPS}",
         "trainer.val_check_interval=2", "loss.lpips_weight=0.0", f"run_dir={folder}/run", f"logger.folder={folder}",
         "callbacks.panels.scenes=1", "schedule.warmup_steps=1",
-        "size.width=54", "size.heads=1", "size.hidden=64",
+        "size.width=54", "callbacks.tracked.model_name=rfpp-debug", "size.heads=1", "size.hidden=64",
     ]  # fmt: skip
     with initialize_config_dir(str(CONFIG_DIR), version_base="1.3"):
         cfg = compose("train", overrides=overrides)
@@ -91,6 +91,10 @@ def test_the_run_records_settings_data_and_code(tracked):
     (used,) = run.inputs.dataset_inputs
     assert load_network(checkpoint)[1].data_manifest.startswith(used.dataset.digest)
     assert [a.path for a in client.list_artifacts(run.info.run_id, "config")] == ["config/config.yaml"]
+    assert run.info.run_name.startswith("debug, RenderFormer++, seed 0, 20")
+    assert tags["mlflow.note.content"].startswith("```\nNetwork ")
+    scores = [metric.value for metric in client.get_metric_history(run.info.run_id, "validation/log_l1")]
+    assert run.data.metrics["best/log_l1"] == min(scores)
     changed = tags["code_version"].endswith("-dirty")
     assert [a.path for a in client.list_artifacts(run.info.run_id, "code")] == ["code/code.diff"] * changed
 

@@ -1,4 +1,4 @@
-"""Keep the logger in step with checkpoints, and register the best one at the end."""
+"""Keep the logger in step with checkpoints, log the best score, and register the best checkpoint at the end."""
 
 from __future__ import annotations
 
@@ -18,6 +18,9 @@ from rfpp.training.tracking.run_logger import RunLogger
 class TrackedRun(L.Callback):
     """Flushes the journal before each checkpoint, and registers the best checkpoint when training is complete.
 
+    The best score so far is logged as `best/log_l1`, if `validation/log_l1` chooses checkpoints: MLflow's table shows
+    the last value of a metric.
+
     A resumed run logs only the steps after its checkpoint, so the records of earlier steps must be on disk.
 
     Args:
@@ -30,6 +33,15 @@ class TrackedRun(L.Callback):
     def on_save_checkpoint(self, trainer: L.Trainer, module: L.LightningModule, checkpoint: dict[str, Any]) -> None:
         for logger in _loggers(trainer):
             logger.sync()
+
+    def on_validation_end(self, trainer: L.Trainer, module: L.LightningModule) -> None:
+        monitor = trainer.checkpoint_callback
+        if trainer.sanity_checking or monitor is None or monitor.monitor not in trainer.callback_metrics:
+            return
+        scores = [trainer.callback_metrics[monitor.monitor], monitor.best_model_score]  # the latter of those before
+        best = {"min": min, "max": max}[monitor.mode](float(score) for score in scores if score is not None)
+        for logger in _loggers(trainer):
+            logger.log_metrics({f"best/{monitor.monitor.rpartition('/')[2]}": best}, trainer.global_step - 1)
 
     def on_exception(self, trainer: L.Trainer, module: L.LightningModule, exception: BaseException) -> None:
         if isinstance(exception, StoppedError):
