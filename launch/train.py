@@ -51,7 +51,9 @@ EXPECTED_WARNINGS = (
 def main(cfg: DictConfig) -> Path | None:
     """Train `cfg.model` on `cfg.data`; return the best checkpoint's path."""
     warnings.filterwarnings("ignore", message=f".*({'|'.join(EXPECTED_WARNINGS)}).*")
-    logging.getLogger("lightning.pytorch").setLevel(logging.WARNING)
+    for package in ("pytorch", "fabric"):
+        logging.getLogger(f"lightning.{package}").setLevel(logging.WARNING)
+    logging.getLogger("lightning.pytorch.profilers").setLevel(logging.INFO)  # what trainer.profiler measures
     L.seed_everything(cfg.seed, verbose=False)
     torch.set_float32_matmul_precision("high")
 

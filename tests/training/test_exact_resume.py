@@ -4,6 +4,8 @@ import json
 import os
 import shutil
 import signal
+import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -12,8 +14,9 @@ import pytest
 import torch
 from mlflow import MlflowClient
 from small_data import BoxFamily, make
-from training_runs import differing, finish, output, start, train, wait_for_step
+from training_runs import SETTINGS, differing, finish, output, start, train, wait_for_step
 
+from rfpp.commands import CONFIG_DIR
 from rfpp.training.checkpoint_files import step_file, step_files
 from rfpp.training.rollback import continues_job
 from rfpp.training.tracking.journal import JOURNAL, RUN_FILE, Journal, records
@@ -210,6 +213,18 @@ def test_ranks_that_would_resume_from_different_steps_are_refused(folder, data, 
     choice = f"checkpoint={run_dir}/rank-${{oc.env:LOCAL_RANK}}.ckpt"
     assert finish(start(run_dir, data, *RUN, *PLAIN_DESCENT, choice, ranks=2)) == [1, 1]
     assert f"error: ranks found checkpoints of different steps ([{STEPS - 1}, {STEPS - 2}])" in output(run_dir)
+
+
+def test_torchrun_trains_with_the_same_bits(folder, data, two_ranks):
+    run_dir = folder / "torchrun"
+    command = [sys.executable, "-m", "torch.distributed.run", "--nproc-per-node=2", "launch/train.py", *SETTINGS, *RUN,
+               *PLAIN_DESCENT, f"data.root={data}", f"run_dir={run_dir}", "logger=none", "trainer.devices=2",
+               "trainer.strategy=ddp"]  # fmt: skip
+    environment = os.environ | {"OMP_NUM_THREADS": "1"}
+    ended = subprocess.run(command, cwd=CONFIG_DIR.parent, env=environment, capture_output=True, text=True, check=False)
+    assert ended.returncode == 0, ended.stderr
+    assert "distributed" not in ended.stdout + ended.stderr
+    assert differing(last(run_dir), two_ranks) == []
 
 
 def test_control_c_saves_and_the_same_command_goes_on(folder, data, uninterrupted):

@@ -2,6 +2,8 @@
 
 import csv
 
+from lightning.pytorch.loggers import CSVLogger
+
 from rfpp.training.tracking.run_logger import RunLogger
 
 
@@ -36,3 +38,12 @@ def test_a_resumed_run_repeats_no_step_and_loses_none(tmp_path):
 def test_a_run_that_fails_before_it_logs_leaves_nothing(tmp_path):
     RunLogger("run", tmp_path / "run").finalize("failed")
     assert not (tmp_path / "run").exists()
+
+
+def test_another_logger_gets_the_same_metrics(tmp_path):
+    logger = RunLogger("run", tmp_path / "run", also=CSVLogger(tmp_path, "other", ""))
+    for step in range(3):
+        logger.log_metrics({"loss": step / 2}, step)
+    logger.finalize("success")
+    rows = [{"step": row["step"], "loss": row["loss"]} for row in table(tmp_path / "other")]
+    assert rows == table(tmp_path / "run")

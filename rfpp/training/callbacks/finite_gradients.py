@@ -1,8 +1,9 @@
-"""Stop training before a step with non-finite gradients."""
+"""Stop training before a step with non-finite gradients, or skip it."""
 
 from __future__ import annotations
 
 import json
+import warnings
 from pathlib import Path
 
 import lightning as L
@@ -24,10 +25,13 @@ class FiniteGradients(L.Callback):
 
     Ranks need no agreement: averaging spreads a non-finite gradient to all of them. Each rank writes the batches of
     its device to `step-00000012-rank0.json`.
+
+    Args:
+        skip: Number of such steps that are made with zero gradients instead, with a warning.
     """
 
-    def __init__(self, folder: str):
-        self.folder = Path(folder)
+    def __init__(self, folder: str, skip: int):
+        self.folder, self.skip = Path(folder), skip
         self._batches: list[tuple[tuple[str, ...], Tensor]] = []
 
     def on_train_batch_start(self, trainer: L.Trainer, module: L.LightningModule, batch: RaggedBatch, _: int) -> None:
@@ -46,7 +50,14 @@ class FiniteGradients(L.Callback):
         content = [{"scenes": list(keys), "loss": str(float(loss) * scale)} for keys, loss in batches]
         file = self.folder / f"step-{step:08d}-rank{trainer.global_rank}.json"
         write_atomically(file, json.dumps(content, indent=1).encode())
+        if self.skip > 0:
+            self.skip -= 1
+            for gradient in gradients:
+                gradient.zero_()
+            warnings.warn(f"step {step} is skipped: its gradient is not finite; {file} lists its scenes", stacklevel=2)
+            return
         raise NonFiniteGradientError(
             f"step {step}: the loss or its gradient is not finite; the weights are those before this step, and {file} "
-            "lists its scenes: resume with another optimizer.lr, precision or data"
+            "lists its scenes: resume with another optimizer.lr, precision or data, or skip it "
+            "(callbacks.finite_gradients.skip=1)"
         )

@@ -14,15 +14,16 @@ def training(tmp_path):
     """A function that runs the callback on batches with their losses, then on a step with this gradient."""
     weight = torch.nn.Parameter(torch.ones(3))
     optimizer = torch.optim.SGD([weight], lr=0.1)
-    callback, module = FiniteGradients(str(tmp_path / "bad")), RecordingModule()
+    module, strict = RecordingModule(), FiniteGradients(str(tmp_path / "bad"), skip=0)
 
-    def step(number, gradient, *batches):
+    def step(number, gradient, *batches, callback=strict):
         trainer = StillTrainer(global_step=number, accumulate_grad_batches=len(batches))
         for index, (batch, loss) in enumerate(batches):
             callback.on_train_batch_start(trainer, module, batch, index)
             callback.on_before_backward(trainer, module, torch.tensor(loss / len(batches)))
         weight.grad = torch.tensor(gradient)
         callback.on_before_optimizer_step(trainer, module, optimizer)
+        return weight.grad
 
     return step
 
@@ -43,3 +44,12 @@ def test_scenes_and_losses_of_the_step_are_written_and_no_earlier_ones(training,
     assert json.loads(file.read_text()) == [
         {"scenes": list(batches[0].keys), "loss": "8.0"}, {"scenes": list(batches[1].keys), "loss": "nan"}
     ]  # fmt: skip
+
+
+def test_as_many_steps_as_allowed_are_skipped(training, tmp_path):
+    tolerant, bad = FiniteGradients(str(tmp_path / "bad"), skip=1), [float("inf"), 0.0, 0.0]
+    with pytest.warns(UserWarning, match=r"step 6 is skipped: its gradient is not finite; .*rank0\.json lists"):
+        gradient = training(5, bad, (batch_of([4]), 1.0), callback=tolerant)
+    assert not gradient.any()
+    with pytest.raises(NonFiniteGradientError):
+        training(6, bad, (batch_of([4]), 1.0), callback=tolerant)

@@ -1,0 +1,31 @@
+"""End a process that hangs."""
+
+from __future__ import annotations
+
+import faulthandler
+import sys
+from typing import Any
+
+import lightning as L
+
+
+class Watchdog(L.Callback):
+    """Prints the stacks of all threads and exits if no batch begins for some minutes.
+
+    A rank may wait for ever for another one, for a file server, or for a loader process.
+
+    Args:
+        minutes: Longer than any checkpoint, compilation or validation batch takes.
+    """
+
+    def __init__(self, minutes: float):
+        self.seconds = 60 * minutes
+
+    def _restart(self, *_: Any) -> None:
+        faulthandler.dump_traceback_later(self.seconds, exit=True, file=sys.__stderr__)
+
+    def _stop(self, *_: Any) -> None:
+        faulthandler.cancel_dump_traceback_later()
+
+    on_train_start = on_train_batch_start = on_validation_batch_start = _restart
+    on_train_end = on_exception = _stop
