@@ -7,7 +7,7 @@ import contextlib
 import numpy as np
 import pytest
 import torch
-from attention_inputs import random_qkv, values_and_gradients
+from attention_inputs import attend_loop, random_qkv, values_and_gradients
 from fake_gpu import network_on
 from gpu_runs import captured_against_plain, compile_whole_blocks
 from marks import requires_gpu
@@ -22,7 +22,6 @@ from rfpp.model.layers.attention import (
     AttentionPattern,
     attend_bucketed,
     attend_equal,
-    attend_loop,
     attend_varlen,
 )
 from rfpp.scene.io.loading import load_scene

@@ -1,4 +1,3 @@
-import csv
 import math
 
 import pytest
@@ -106,23 +105,6 @@ def test_large_scale_states_the_papers_settings(composed):
     optimizer = instantiate(cfg.optimizer)
     assert optimizer.keywords["lr"] == 1e-4
     assert math.isclose(optimizer.keywords["weight_decay"], 0.01)
-
-
-def test_training_twice_gives_the_same_losses(composed, data, tmp_path):
-    from launch.train import main
-
-    def losses(name: str) -> list[str]:
-        cfg = composed(
-            "train", "experiment=quickstart", "debug=cpu", "logger=none", f"data.root={data}", "data.resolution=8",
-            "steps=4", "trainer.val_check_interval=4", "loss.lpips_weight=0.0", f"run_dir={tmp_path}/{name}",
-        )  # fmt: skip
-        main.__wrapped__(cfg)
-        rows = csv.DictReader((tmp_path / name / "metrics.csv").open())
-        return [row["train/loss"] for row in rows if row["train/loss"]]
-
-    first = losses("one")
-    assert len(first) == 4
-    assert first == losses("two")
 
 
 def test_a_run_of_the_ablation_ends_with_a_checkpoint_and_a_panel(composed, data, tmp_path):

@@ -2,11 +2,11 @@
 
 import numpy as np
 import torch
-from attention_inputs import random_qkv, values_and_gradients
+from attention_inputs import attend_loop, random_qkv, values_and_gradients
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rfpp.model.layers.attention import AttentionPattern, attend_bucketed, attend_loop
+from rfpp.model.layers.attention import AttentionPattern, attend_bucketed
 from rfpp.segments import Segments
 
 

@@ -1,7 +1,8 @@
 import pytest
 import torch
+from attention_inputs import attend_loop
 
-from rfpp.model.layers.attention import AttentionPattern, attend, attend_loop
+from rfpp.model.layers.attention import AttentionPattern, attend
 from rfpp.model.layers.ray_windows import ShiftedWindows, WholeView
 from rfpp.segments import Segments
 

@@ -2,10 +2,10 @@
 
 import pytest
 import torch
-from attention_inputs import random_qkv, values_and_gradients
+from attention_inputs import attend_loop, random_qkv, values_and_gradients
 
 from rfpp.model.layers import attention, tiled_attention
-from rfpp.model.layers.attention import AttentionPattern, attend_bucketed, attend_loop
+from rfpp.model.layers.attention import AttentionPattern, attend_bucketed
 from rfpp.model.layers.tiled_attention import attend_tiled
 from rfpp.segments import Segments
 

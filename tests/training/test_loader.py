@@ -10,13 +10,11 @@ from multiprocessing import active_children
 from pathlib import Path
 from types import SimpleNamespace
 
-import lightning as L
 import numpy as np
 import pytest
 import torch
 import trimesh
 from small_data import BoxFamily, make
-from torch import nn
 
 from rfpp.errors import ShardError, UserError
 from rfpp.scene.mesh import Mesh
@@ -280,55 +278,3 @@ def test_a_batch_without_readable_scenes_is_an_error(root, tmp_path):
     nothing_left = pytest.raises(ShardError, match="none of a batch's 4 scenes can be read")
     with nothing_left, pytest.warns(UserWarning, match="skipped"):
         global_batches(bad, skip_corrupt=True)
-
-
-class Learner(L.LightningModule):
-    """Learns one number, and records the keys of its batches."""
-
-    def __init__(self):
-        super().__init__()
-        self.weight = nn.Parameter(torch.zeros(()))
-        self.seen: list[tuple[str, ...]] = []
-
-    def training_step(self, batch, _):
-        self.seen.append(batch.keys)
-        return (self.weight - batch.image.mean()) ** 2
-
-    def configure_optimizers(self):
-        return torch.optim.SGD(self.parameters(), 0.1)
-
-
-class SaveAt(L.Callback):
-    """Saves a checkpoint after a number of steps."""
-
-    def __init__(self, step: int, path: Path):
-        self.step, self.path = step, path
-
-    def on_train_batch_end(self, trainer, *_):
-        if trainer.global_step == self.step and not self.path.exists():
-            trainer.save_checkpoint(self.path)
-
-
-def fit(root, steps: int, *callbacks: L.Callback, checkpoint: Path | None = None, accumulate: int = 1, **change):
-    """Train with Lightning; return the module and its last metrics."""
-    module, data = Learner(), datamodule(root, **change)
-    data.trainer = None
-    trainer = L.Trainer(
-        max_steps=steps, accumulate_grad_batches=accumulate, callbacks=list(callbacks), accelerator="cpu",
-        logger=False, enable_checkpointing=False, enable_progress_bar=False, enable_model_summary=False,
-        use_distributed_sampler=False, limit_val_batches=0,
-    )  # fmt: skip
-    trainer.fit(module, data, ckpt_path=checkpoint, weights_only=True)
-    return module
-
-
-@pytest.mark.filterwarnings("ignore::UserWarning")
-@pytest.mark.parametrize("accumulate", [1, 2])
-@pytest.mark.parametrize("planned", [2, 4])  # the run ended there, or was interrupted
-def test_lightning_resumes_at_the_checkpoint(root, tmp_path, accumulate, planned):
-    whole = fit(root, 4, accumulate=accumulate)
-    fit(root, planned, SaveAt(2, tmp_path / "2.ckpt"), accumulate=accumulate)
-    resumed = fit(root, 4, checkpoint=tmp_path / "2.ckpt", accumulate=accumulate)
-    assert resumed.seen == whole.seen[2 * accumulate :]
-    assert len(whole.seen) == 4 * accumulate
-    np.testing.assert_allclose(resumed.weight.item(), whole.weight.item(), rtol=1e-6)

@@ -264,14 +264,3 @@ def attend_equal(q: Tensor, k: Tensor, v: Tensor, pattern: AttentionPattern) -> 
     with sdpa_kernel([SDPBackend.CUDNN_ATTENTION, SDPBackend.FLASH_ATTENTION], set_priority=True):
         out: Tensor = F.scaled_dot_product_attention(*heads)
     return out.transpose(1, 2).flatten(0, 1)
-
-
-def attend_loop(q: Tensor, k: Tensor, v: Tensor, pattern: AttentionPattern) -> Tensor:
-    """The definition, one segment at a time: what the fast backends are tested against."""
-    out = []
-    qo, ko = pattern.queries.offsets.tolist(), pattern.keys.offsets.tolist()
-    for i in range(len(pattern.queries)):
-        qi, ki, vi = q[qo[i] : qo[i + 1]], k[ko[i] : ko[i + 1]], v[ko[i] : ko[i + 1]]
-        weights = torch.einsum("qhd,khd->hqk", qi, ki) / qi.shape[-1] ** 0.5
-        out.append(torch.einsum("hqk,khd->qhd", weights.softmax(-1), vi))
-    return torch.cat(out)

@@ -3,11 +3,9 @@
 - Point light: a tetrahedron with edges of 0.05 and radiance 4 · intensity / surface; exact in the mean over directions,
   within 18% in each.
 - Spot light: one triangle with edges of 0.05 facing its direction, with radiance intensity / area; exact along the
-  axis. It falls off as a cosine instead of at a cone.
+  axis. It falls off as a cosine instead of at a cone, and shines to the front only.
 - Directional light: one triangle with edges of 0.16, 2.4 from the origin and facing it, with radiance irradiance · 2.4²
   / area; exact at the origin.
-
-Both shine from their front only.
 
 The brightness of a scene is the mean unoccluded irradiance of its surfaces. Below a fiftieth of the brightness of
 training scenes, three lights are added around the first camera; above twenty times that, lights are dimmed to it.
@@ -98,10 +96,7 @@ def irradiance(parts: Sequence[Part]) -> float:
 def _sampled(
     rng: np.random.Generator, parts: Sequence[Part], weights: Sequence[np.ndarray]
 ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"], Bool[np.ndarray, " n"], float]:
-    """Draw faces in proportion to their weight.
-
-    Returns their centers, unit normals, whether they are one-sided, and the weight of each draw.
-    """
+    """Draw faces by weight; return centers, unit normals, whether they are one-sided, and the weight of each draw."""
     weight = np.concatenate(weights)
     if not weight.sum() > 0:
         return np.zeros((1, 3)), np.zeros((1, 3)), np.zeros(1, bool), 0.0

@@ -24,10 +24,7 @@ class FiniteGradients(L.Callback):
     """Stops before a step with non-finite gradients, and writes the keys and losses of its batches.
 
     Ranks need no agreement: averaging spreads a non-finite gradient to all of them. Each rank writes the batches of
-    its device to `step-00000012-rank0.json`.
-
-    Args:
-        skip: Number of such steps that are made with zero gradients instead, with a warning.
+    its device to `step-00000012-rank0.json`. The first `skip` such steps are made with zero gradients, with a warning.
     """
 
     def __init__(self, folder: str, skip: int):

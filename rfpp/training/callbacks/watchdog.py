@@ -12,10 +12,8 @@ import lightning as L
 class Watchdog(L.Callback):
     """Prints the stacks of all threads and exits if no batch begins for some minutes.
 
-    A rank may wait for ever for another one, for a file server, or for a loader process.
-
-    Args:
-        minutes: Longer than any checkpoint, compilation or validation batch takes.
+    A rank may wait for ever for another one, for a file server, or for a loader process. `minutes` must be longer than
+    any checkpoint, compilation or batch takes.
     """
 
     def __init__(self, minutes: float):

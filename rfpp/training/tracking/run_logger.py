@@ -10,7 +10,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from lightning.pytorch.loggers.logger import Logger
+from lightning.pytorch.loggers.logger import DummyLogger, Logger
 from lightning.pytorch.utilities import rank_zero_only
 
 from rfpp.files import write_atomically
@@ -26,15 +26,12 @@ class RunLogger(Logger):
     """Writes everything to the run folder's journal; resumed runs append to it.
 
     Metrics are also written to metrics.csv, at each checkpoint and at the end. A run that resumes with
-    `logger=mlflow` sends its whole journal to MLflow.
-
-    Args:
-        also: One of Lightning's loggers, which gets settings and metrics too.
+    `logger=mlflow` sends its whole journal to MLflow. `also` is one of Lightning's loggers, for settings and metrics.
     """
 
     def __init__(self, run_name: str, run_dir: str | Path, also: Logger | None = None):
         super().__init__()
-        self.run_dir, self._run_name, self._also = Path(run_dir), run_name, also
+        self.run_dir, self._run_name, self._also = Path(run_dir), run_name, also or DummyLogger()
         self._statuses = {"success": "FINISHED", "failed": "FAILED"}  # Lightning's and MLflow's names
 
     @cached_property
@@ -79,8 +76,7 @@ class RunLogger(Logger):
         named = {re.sub(r"[^\w/. -]+", "", name, flags=re.ASCII): value for name, value in metrics.items()}
         named.pop("epoch", None)  # added by Lightning; training has no epochs, see GlobalBatches
         self._journal.metrics(named, step or 0)
-        if self._also:
-            self._also.log_metrics(named, step or 0)
+        self._also.log_metrics(named, step or 0)
 
     @rank_zero_only
     def log_hyperparams(self, params: dict[str, Any]) -> None:
@@ -103,8 +99,7 @@ class RunLogger(Logger):
         Settings that have changed since the run began are tags, `resumed/optimizer.lr` for instance.
         """
         changed = self._journal.parameters(flattened(config))
-        if self._also:
-            self._also.log_hyperparams(config)
+        self._also.log_hyperparams(config)
         tags = {**tags, **machine_tags(), "resumed": str(self._journal.starts - 1)}
         tags |= {f"resumed/{name}": value for name, value in changed.items()}
         self._journal.append("tags", values=tags)
@@ -129,8 +124,7 @@ class RunLogger(Logger):
     def finalize(self, status: str) -> None:
         if "_journal" not in self.__dict__:
             return  # nothing has been logged
-        if self._also:
-            self._also.finalize(status)
+        self._also.finalize(status)
         self._journal.append("status", value=self._statuses[status])
         self._journal.sync()
         self._end()
