@@ -51,6 +51,15 @@ def test_named_source_folders_and_files_exist(page):
     assert [path for path in named if not (ROOT / path).exists()] == []
 
 
+def test_the_python_of_the_rendering_page_runs():
+    code = "".join(re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "rendering.md").read_text("utf-8"), re.S))
+    names: dict = {}
+    exec(code, names)
+    assert names["images"].shape == (3, 256, 256, 3)
+    assert 0.05 < names["image"].mean() < 0.2
+    assert str(names["Scene"](objects=(names["floor"],))) == "<Scene 'scene': 1 objects, 2 triangles, 0 cameras>"
+
+
 def test_tour_lists_every_package():
     listed = re.findall(r"^\| `(rfpp/\w+)` \|", (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8"), re.M)
     assert sorted(listed) == sorted(f"rfpp/{path.parent.name}" for path in (ROOT / "rfpp").glob("*/__init__.py"))

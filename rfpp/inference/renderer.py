@@ -21,6 +21,7 @@ from rfpp.inference.radiosity_engine import RadiosityEngine
 from rfpp.model.layers.matrix_precision import matrix_dtype
 from rfpp.model.renderformer_pp import RenderFormerPP
 from rfpp.radiosity.radiosity import Radiosity
+from rfpp.scene.io.loading import load_scene
 from rfpp.scene.packed import PackedScene, pack
 from rfpp.scene.spec import Camera, Scene
 
@@ -29,7 +30,7 @@ class Renderer:
     """Renders scenes with RenderFormer++, RenderFormer or radiosity.
 
         renderer = Renderer.load("radiosity")
-        images = renderer.render(load_scene("data/scenes/cornell_box.json"))
+        images = renderer.render("data/scenes/cornell_box.json")
 
     It caches what it has computed of a scene, so that another view costs its own and an edit what it changes. On a CPU
     the image is bit-identical to that of a new renderer. Threads may share it.
@@ -98,7 +99,7 @@ class Renderer:
 
     def render(
         self,
-        scene: Scene | PackedScene,
+        scene: Scene | PackedScene | Path | str,
         resolution: int | tuple[int, int] | None = None,
         cameras: Sequence[Camera] | None = None,
         light_samples: int = 16,
@@ -108,7 +109,7 @@ class Renderer:
         """Return the linear radiance seen by each camera.
 
         Args:
-            scene: Scene to render.
+            scene: Scene to render, or its file.
             resolution: Pixels, a number for square images or (height, width); None is the training resolution.
             cameras: Cameras; None renders the scene's own.
             light_samples: Shadow rays per light and pixel, and rays per pixel into reflections.
@@ -124,7 +125,7 @@ class Renderer:
 
     def views(
         self,
-        scene: Scene | PackedScene,
+        scene: Scene | PackedScene | Path | str,
         resolution: int | tuple[int, int] | None = None,
         cameras: Sequence[Camera] | None = None,
         light_samples: int = 16,
@@ -133,7 +134,8 @@ class Renderer:
         is_refined: bool = True,
     ) -> Iterator[Image]:
         """Yield the images of `render`, each as soon as it is finished, with or without the refinement."""
-        packed = pack(scene) if cameras is None else pack(scene).seen_by(cameras)
+        packed = pack(load_scene(scene) if isinstance(scene, Path | str) else scene)
+        packed = packed if cameras is None else packed.seen_by(cameras)
         plan = self.planned(packed, resolution, light_samples, supersampling, transports)
         return self._checked(plan.scene, self.engine.views(plan, is_refined=is_refined))
 

@@ -91,7 +91,7 @@ class Transform(Strict):
     translation: Vector = (0.0, 0.0, 0.0)
     rotation: Vector = (0.0, 0.0, 0.0)
     scale: Vector = (1.0, 1.0, 1.0)
-    normalize: bool = True
+    normalize: bool = False
 
     def apply(self, mesh: Mesh) -> Mesh:
         """Return the mesh in world space, still facing outwards if it is mirrored.
@@ -198,6 +198,12 @@ class Scene(Strict):
     name: str = "scene"
     objects: tuple[SceneObject, ...]
     cameras: tuple[Camera, ...] = ()
+
+    def __repr__(self) -> str:
+        faces = sum(len(item.mesh) for item in self.objects)
+        return f"<Scene '{self.name}': {len(self.objects)} objects, {faces} triangles, {len(self.cameras)} cameras>"
+
+    __str__ = __repr__
 
     @model_validator(mode="after")
     def _is_not_empty(self) -> Scene:

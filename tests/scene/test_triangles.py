@@ -115,13 +115,13 @@ def test_seed_zero_is_a_seed_and_none_is_not() -> None:
 
 
 def test_world_meshes_are_computed_once_and_follow_changes(monkeypatch) -> None:
-    item = SceneObject(name="ball", mesh=SPHERE, material=MATERIAL)
+    item = SceneObject(name="ball", mesh=SPHERE, material=MATERIAL, transform=Transform(normalize=True))
     computed = []
     monkeypatch.setattr("rfpp.scene.spec.normalized", lambda mesh: computed.append(mesh) or normalized(mesh))
     scene = Scene(objects=(item,))
     first, again = (SceneTriangles.from_scene(scene).positions for _ in range(2))
     assert len(computed) == 1
     np.testing.assert_array_equal(first, again)
-    moved = item.model_copy(update={"transform": Transform(translation=(0, 0, 1))})
+    moved = item.model_copy(update={"transform": Transform(translation=(0, 0, 1), normalize=True)})
     np.testing.assert_allclose(moved.world_mesh.vertices, np.add(item.world_mesh.vertices, [0, 0, 1]), atol=1e-6)
     assert SceneObject(**dict(item)).world_mesh is not item.world_mesh

@@ -143,7 +143,7 @@ def _object(name: str, values: dict[str, Any], folder: Path, meshes: _Meshes) ->
             name=name,
             mesh=meshes.get(beside(folder, entry.mesh_path), entry.remesh_target_face_num if entry.remesh else None),
             material=Material(**entry.material),
-            transform=Transform(**entry.transform),
+            transform=Transform(**{"normalize": True, **entry.transform}),  # their default
         )
 
 
