@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, NoReturn, TypeVar
 
 import hydra
+from hydra.core.hydra_config import HydraConfig
 from hydra.errors import ConfigCompositionException, InstantiationException, OverrideParseException
 from omegaconf import DictConfig, OmegaConf
 
@@ -22,9 +23,12 @@ from rfpp.errors import UserError
 from rfpp.extras import missing_extra
 from rfpp.files import write_atomically
 from rfpp.folders import carried
+from rfpp.overrides import defaults_of, require_valid, suggestions
 
 Result = TypeVar("Result")
 
+#: Exit status after an invalid command line.
+USAGE = 2
 #: Errors of a full disk: no space, quota used up, file-size limit reached.
 NO_SPACE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 #: SQLite's message for a full disk, which MLflow raises in an exception of its own.
@@ -47,8 +51,8 @@ def entry_point(
 ) -> Callable[[Callable[[DictConfig], Result]], Callable[[], Result]]:
     """Decorate `task(cfg)` into a command that composes `<config_dir>/<config_name>.yaml` and the command line.
 
-    A `UserError` is printed as one line on stderr and the process exits with status 1. The undecorated task is
-    available as `command.__wrapped__`.
+    A `UserError` is printed as one line on stderr and the process exits with status 1, or 2 if a setting is unknown or
+    has an invalid value. The undecorated task is available as `command.__wrapped__`.
     """
 
     def decorate(task: Callable[[DictConfig], Result]) -> Callable[[], Result]:
@@ -56,6 +60,11 @@ def entry_point(
         def reporting(cfg: DictConfig) -> Result:
             warnings.formatwarning = _one_line
             keep_freed_memory()
+            given = HydraConfig.get().overrides.task if HydraConfig.initialized() else []
+            try:
+                require_valid(cfg, defaults_of(config_name, config_dir, given) if given else cfg, given)
+            except UserError as error:
+                _fail(error, USAGE)
             try:
                 return task(cfg)
             except UserError as error:
@@ -87,7 +96,13 @@ def entry_point(
             try:
                 return composed()
             except (ConfigCompositionException, OverrideParseException) as error:
-                _fail(UserError(" ".join(f"{error} {error.__cause__ or ''}".split())))
+                message = " ".join(f"{error} {error.__cause__ or ''}".split())
+                if unknown := re.match(r"Could not override '([^']+)'", message):
+                    message = f"{unknown[1]}: there is no such setting"
+                    with hydra.initialize_config_dir(str(config_dir), version_base="1.3"):
+                        similar = suggestions(unknown[1], defaults_of(config_name, config_dir, sys.argv[1:]))
+                    message += f": did you mean {' or '.join(similar)}?" if similar else ": see --help"
+                _fail(UserError(message), USAGE)
 
         return command
 
@@ -107,9 +122,9 @@ def with_scenes(arguments: Sequence[str]) -> list[str]:
     return [given for given in arguments if given not in files] + scene
 
 
-def _fail(error: UserError) -> NoReturn:
+def _fail(error: UserError, status: int = 1) -> NoReturn:
     print(f"error: {error}", file=sys.stderr)
-    sys.exit(1)
+    sys.exit(status)
 
 
 def _one_line(message: Warning | str, category: type[Warning], *_: object) -> str:

@@ -5,6 +5,7 @@ python -m rfpp.benchmark.equal_time_plot data/results/equal_time.csv
 
 from __future__ import annotations
 
+import argparse
 import io
 from collections.abc import Sequence
 from pathlib import Path
@@ -16,7 +17,8 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from rich.console import Console
 from rich.table import Table
 
-from rfpp.benchmark.csv_rows import command, read_rows
+from rfpp.benchmark.csv_rows import read_rows
+from rfpp.errors import UserError
 from rfpp.files import write_atomically
 
 #: Panel → column of its seconds, and columns of its errors; the first error is drawn.
@@ -102,8 +104,15 @@ def _draw(axis: Axes, rows: Rows, seconds: str, error: str) -> None:
 
 
 def main(arguments: Sequence[str] | None = None) -> Path:
-    """Run the command of the module's docstring."""
-    return command("equal_time", __doc__, plot, arguments)
+    """Run the command of the module's docstring; errors are one line."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("csv", type=Path, help="table written by launch/benchmark.py benchmark=equal_time output=…")
+    try:
+        picture = plot(parser.parse_args(arguments).csv)
+    except UserError as error:
+        parser.exit(1, f"error: {error}\n")
+    print(picture)
+    return picture
 
 
 if __name__ == "__main__":

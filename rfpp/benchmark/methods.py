@@ -1,4 +1,4 @@
-"""Timed rendering with a `Renderer` and with Cycles, and the errors of the images.
+"""Scenes of the picture benchmarks; timed rendering with a `Renderer` and with Cycles, and the errors of the images.
 
 Both methods take sequences of scenes and return (images, seconds) of each scene, after warming up. The scenes of a
 sequence are versions of one scene, between which a renderer may reuse its caches.
@@ -20,7 +20,20 @@ from rfpp.inference.renderer import Renderer
 from rfpp.metrics.flip import flip
 from rfpp.metrics.image import log_l1, ssim
 from rfpp.reference.cycles import CyclesSettings
-from rfpp.scene.packed import PackedScene
+from rfpp.scene.io.loading import load_scene
+from rfpp.scene.packed import PackedScene, pack
+from rfpp.shards.job import SceneSource
+
+
+def stored(path: str) -> PackedScene:
+    """Load a scene from a file. Raises SceneError."""
+    return pack(load_scene(path)).views([0])
+
+
+def sampled(family: SceneSource, seed: int) -> PackedScene:
+    """Draw a test scene of a family."""
+    rngs = (np.random.default_rng([seed, stream]) for stream in range(2))
+    return pack(family.sample(*rngs, held_out=True)).views([0])
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import shutil
-from collections.abc import Iterator
 from itertools import count
 from pathlib import Path
 
@@ -74,9 +73,8 @@ def _origin(aside: Path, step: int) -> Record:
     return {"kind": "tags", "time": int((aside / JOURNAL).stat().st_mtime * 1000), "values": values}
 
 
-def _journal(run_dir: Path) -> Iterator[Record]:
-    if (run_dir / JOURNAL).exists():
-        yield from (record for record, _ in records(run_dir / JOURNAL))
+def _journal(run_dir: Path) -> list[Record]:
+    return [record for record, _ in records(run_dir / JOURNAL)] if (run_dir / JOURNAL).exists() else []
 
 
 def _step(checkpoint: Path) -> int:

@@ -22,8 +22,7 @@ from rfpp.scene.packed import PackedScene, pack
 from rfpp.scene.spec import Camera, Scene, SceneObject
 from rfpp.viewer import edits
 from rfpp.viewer.layers import Layer
-from rfpp.viewer.reference import Reference, path_trace
-from rfpp.viewer.session import Drawn, Session
+from rfpp.viewer.session import Drawn, Reference, Session, path_trace
 from rfpp.viewer.viser_cameras import camera_of, move_to
 
 #: Name → factory with an argument `stops`.

@@ -8,21 +8,44 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import Float, UInt8
 from PIL import Image
 
 from rfpp.errors import UserError
 from rfpp.imaging.tone_maps import ToneMap
+from rfpp.inference.references import path_traced
+from rfpp.reference.cycles import CyclesSettings
 from rfpp.scene.packed import PackedScene, pack
 from rfpp.scene.spec import Camera, Scene
 from rfpp.viewer.layers import Layer
 from rfpp.viewer.pacing import Pacing
-from rfpp.viewer.reference import Reference
 
 Picture = UInt8[np.ndarray, "h w 3"]
 
 #: Seconds without a change until the picture is drawn in full.
 _REST = 0.2
+
+
+@dataclass(frozen=True, eq=False)
+class Reference:
+    """A path-traced image (linear radiance) of a scene, and its render time."""
+
+    radiance: Float[np.ndarray, "h w 3"]
+    seconds: float
+    scene: Scene | PackedScene
+    camera: Camera
+
+    def shows(self, scene: Scene | PackedScene, camera: Camera, size: tuple[int, int]) -> bool:
+        """Return whether it is an image of this view."""
+        return self.scene is scene and self.camera == camera and self.radiance.shape[:2] == size
+
+
+def path_trace(
+    scene: Scene | PackedScene, camera: Camera, size: tuple[int, int], settings: CyclesSettings
+) -> Reference:
+    """Path-trace (height, width) pixels. Raises UserError if Blender is missing or cannot render the scene."""
+    [([radiance], seconds)] = path_traced([pack(scene).seen_by([camera])], size, settings)
+    return Reference(radiance, seconds, scene, camera)
 
 
 @dataclass(frozen=True, eq=False)

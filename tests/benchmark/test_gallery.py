@@ -7,9 +7,8 @@ from PIL import Image
 from small_data import REFERENCE, BoxFamily
 
 from rfpp.benchmark import methods
-from rfpp.benchmark.exhibits import sampled
 from rfpp.benchmark.gallery import affordable, measure
-from rfpp.benchmark.methods import errors
+from rfpp.benchmark.methods import errors, sampled
 from rfpp.inference.renderer import Renderer
 from rfpp.scene.packed import pack
 

@@ -93,8 +93,8 @@ def test_the_run_records_settings_data_and_code(tracked):
     assert [a.path for a in client.list_artifacts(run.info.run_id, "config")] == ["config/config.yaml"]
     assert run.info.run_name.startswith("debug, RenderFormer++, seed 0, 20")
     assert tags["mlflow.note.content"].startswith("```\nNetwork ")
-    scores = [metric.value for metric in client.get_metric_history(run.info.run_id, "validation/log_l1")]
-    assert run.data.metrics["best/log_l1"] == min(scores)
+    history = client.get_metric_history(run.info.run_id, "validation/log_l1")
+    assert run.data.metrics["best/log_l1"] == min(metric.value for metric in history)
     changed = tags["code_version"].endswith("-dirty")
     assert [a.path for a in client.list_artifacts(run.info.run_id, "code")] == ["code/code.diff"] * changed
 

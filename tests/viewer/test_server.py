@@ -13,8 +13,8 @@ from rfpp.errors import UserError
 from rfpp.files import is_plain_name
 from rfpp.scene.io.loading import load_scene
 from rfpp.viewer.controls import scene_file
-from rfpp.viewer.reference import path_trace
 from rfpp.viewer.server import Viewer
+from rfpp.viewer.session import path_trace
 
 
 @pytest.mark.parametrize(

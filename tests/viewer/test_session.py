@@ -16,8 +16,7 @@ from rfpp.scene.packed import pack
 from rfpp.viewer.edits import with_object, with_transform
 from rfpp.viewer.layers import layers_of
 from rfpp.viewer.pacing import Pacing
-from rfpp.viewer.reference import Reference
-from rfpp.viewer.session import Session, View
+from rfpp.viewer.session import Reference, Session, View
 
 
 def view_of(renderer, longer_side=16) -> View:

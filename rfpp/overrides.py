@@ -1,0 +1,82 @@
+"""Check settings of the command line against the values that they replace."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any
+
+import hydra
+from omegaconf import DictConfig, ListConfig, OmegaConf
+
+from rfpp.errors import UserError
+
+#: Numbers in whose place a list may be given.
+_ONE_OR_MORE = ("resolution", "trainer.devices")
+
+
+def defaults_of(config_name: str, config_dir: Path, overrides: Sequence[str]) -> DictConfig:
+    """Compose a configuration with the groups that `overrides` choose, without their values; Hydra is initialized."""
+    groups = [given for given in overrides if (config_dir / _key(given).partition("@")[0]).is_dir()]
+    return hydra.compose(config_name, overrides=groups)
+
+
+def require_valid(cfg: DictConfig, defaults: DictConfig, overrides: Sequence[str]) -> None:
+    """Raise UserError for a value that has another type than its default, is not finite, or is negative.
+
+    A number is negative against expectation if its default is not. Values without a default are not checked.
+    """
+    for key in map(_key, overrides):
+        _require(key, *(OmegaConf.select(each, key) for each in (defaults, cfg)))
+
+
+def _require(key: str, before: Any, value: Any) -> None:
+    if isinstance(before, DictConfig) and isinstance(value, DictConfig):
+        for name in before.keys() & value.keys():
+            _require(f"{key}.{name}", *(OmegaConf.select(each, str(name)) for each in (before, value)))
+    elif (expected := _expected(before, value)) and not (key in _ONE_OR_MORE and isinstance(value, ListConfig)):
+        raise UserError(f"{key}={value}: {expected} was expected; the default is {before}")
+
+
+def suggestions(key: str, defaults: DictConfig) -> list[str]:
+    """Return up to three keys that `key` may be a misspelling of: of the whole, or of its last part."""
+    known = list(_keys(OmegaConf.to_container(defaults, resolve=False)))
+    ends = {name: name.rpartition(".")[2] for name in known}
+    similar = get_close_matches(key.rpartition(".")[2], sorted(set(ends.values())), 3, 0.75)
+    return (get_close_matches(key, known, 3, 0.8) or [name for end in similar for name in known if ends[name] == end])[
+        :3
+    ]
+
+
+def _key(override: str) -> str:
+    return override.lstrip("+~").partition("=")[0]
+
+
+def _expected(before: Any, value: Any) -> str | None:
+    """Return what was expected in place of `value`; None if it may be right."""
+    if before is None or value is None or isinstance(before, str) or OmegaConf.is_dict(before):
+        return None
+    if isinstance(before, bool):
+        return None if isinstance(value, bool) else "true or false"
+    if isinstance(before, ListConfig):
+        typical = next(iter(before), None)
+        if isinstance(value, ListConfig) and not any(_expected(typical, each) == "a number" for each in value):
+            return None
+        return "a list of numbers" if isinstance(typical, int | float) else "a list"
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return "a number"
+    if isinstance(before, int) and not isinstance(value, int):
+        return "a whole number"
+    if not math.isfinite(value) and math.isfinite(before):
+        return "a finite number"
+    expects_sign = before > 0 or (isinstance(before, int) and before == 0)
+    return "no negative number" if value < 0 and expects_sign else None
+
+
+def _keys(settings: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
+    for name, value in settings.items():
+        yield f"{prefix}{name}"
+        if isinstance(value, dict):
+            yield from _keys(value, f"{prefix}{name}.")

@@ -1,0 +1,52 @@
+"""Nonsense for any setting of any command is refused in one line, and misspelled keys name what was meant."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from hydra import compose, initialize_config_dir
+from omegaconf import OmegaConf
+
+from rfpp.commands import CONFIG_DIR
+from rfpp.errors import UserError
+from rfpp.overrides import defaults_of, require_valid
+
+COMMANDS = {"train": "experiment=large_scale", "generate": "experiment=study", "evaluate": "experiment=ablation",
+            "refine": "experiment=rfpp_real", "benchmark": "benchmark=cost", "render/render": "motion=swing",
+            "render/relight": "", "view": "", "serve/serve": ""}  # fmt: skip
+NONSENSE = {bool: ["maybe", 3], int: ["many", -1, 0.5, "nan", "[1]"], float: ["much", "inf", True], list: ["few", 3]}
+
+
+def leaves(settings, prefix=""):
+    for name, value in settings.items():
+        yield from leaves(value, f"{prefix}{name}.") if isinstance(value, dict) else [(f"{prefix}{name}", value)]
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_nonsense_is_refused_for_every_leaf(command):
+    folder, chosen = CONFIG_DIR / Path(command).parent, [group for group in [COMMANDS[command]] if group]
+    with initialize_config_dir(str(folder), version_base="1.3"):
+        defaults = defaults_of(Path(command).name, folder, [*chosen, "output=elsewhere"])
+        require_valid(compose(Path(command).name, overrides=chosen), defaults, [*chosen])
+    tried = 0
+    for key, value in leaves(OmegaConf.to_container(defaults, resolve=False)):
+        for wrong in NONSENSE.get(type(value), [])[: 4 if key in ("resolution", "trainer.devices") else None]:
+            given = OmegaConf.from_dotlist([f"{key}={wrong}"])
+            with pytest.raises(UserError, match=rf"{key}=.* was expected; the default is "):
+                require_valid(given, defaults, [key])
+            tried += 1
+    assert tried >= 10
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ("lr=9", "lr: there is no such setting: did you mean optimizer.lr?"),
+        ("steps=many", "steps=many: a number was expected; the default is 20"),
+    ],
+)
+def test_commands_end_with_one_line_and_the_status_of_wrong_usage(given, said):
+    command = [sys.executable, "launch/train.py", "debug=cpu", given]
+    done = subprocess.run(command, cwd=CONFIG_DIR.parent, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (2, f"error: {said}\n")
