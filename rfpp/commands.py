@@ -9,12 +9,13 @@ import re
 import sys
 import warnings
 from collections.abc import Callable, Collection, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, NoReturn, TypeVar
 
 import hydra
 from hydra.core.hydra_config import HydraConfig
-from hydra.errors import ConfigCompositionException, InstantiationException, OverrideParseException
+from hydra.errors import ConfigCompositionException, HydraException, InstantiationException, OverrideParseException
 from omegaconf import DictConfig, OmegaConf
 
 import rfpp.interrupts  # noqa: F401 (one-line messages for Ctrl-C and missing extras)
@@ -98,8 +99,8 @@ def entry_point(
             except (ConfigCompositionException, OverrideParseException) as error:
                 message = " ".join(f"{error} {error.__cause__ or ''}".split())
                 if unknown := re.match(r"Could not override '([^']+)'", message):
-                    message = f"{unknown[1]}: there is no such setting"
-                    with hydra.initialize_config_dir(str(config_dir), version_base="1.3"):
+                    message, similar = f"{unknown[1]}: there is no such setting", []
+                    with suppress(HydraException), hydra.initialize_config_dir(str(config_dir), version_base="1.3"):
                         similar = suggestions(unknown[1], defaults_of(config_name, config_dir, sys.argv[1:]))
                     message += f": did you mean {' or '.join(similar)}?" if similar else ": see --help"
                 _fail(UserError(message), USAGE)

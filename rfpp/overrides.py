@@ -29,7 +29,7 @@ def require_valid(cfg: DictConfig, defaults: DictConfig, overrides: Sequence[str
     A number is negative against expectation if its default is not. Values without a default are not checked.
     """
     for key in map(_key, overrides):
-        _require(key, *(OmegaConf.select(each, key) for each in (defaults, cfg)))
+        _require(key, *(OmegaConf.select(each, key, throw_on_resolution_failure=False) for each in (defaults, cfg)))
 
 
 def _require(key: str, before: Any, value: Any) -> None:
