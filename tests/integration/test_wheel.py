@@ -62,7 +62,7 @@ def pip(verb: str, *arguments: str) -> None:
 
 def test_every_file_travels(wheel):
     kinds = {
-        "rfpp": ("**/*.py", "evaluation/report/pages/*", "serve/addon/*.toml"),
+        "rfpp": ("**/*.py", "py.typed", "evaluation/report/pages/*", "serve/addon/*.toml"),
         "conf": ("**/*.yaml",),
         "launch": ("*.py",),
         "data/models": ("*/*",),
