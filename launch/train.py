@@ -114,10 +114,8 @@ def main(cfg: DictConfig) -> Path | None:
                 config_file = write_config(config, run_dir)
                 point_at(run_dir, run_dir.with_name("latest"))
                 tags = {"code_version": info.commit or "unknown", "data_manifest": info.data_manifest}
-                tags |= {
-                    "run_dir": str(run_dir),
-                    "mlflow.note.content": f"```\n{summary}\n```",
-                }  # above MLflow's tables
+                # MLflow shows the note above its tables
+                tags |= {"run_dir": str(run_dir), "mlflow.note.content": f"```\n{summary}\n```"}
                 logger.describe(config, config_file, data, tags)
             trainer.fit(module, datamodule, ckpt_path=resumed, weights_only=True)
     except (StoppedError, NonFiniteGradientError) as stop:

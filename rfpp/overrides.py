@@ -45,9 +45,8 @@ def suggestions(key: str, defaults: DictConfig) -> list[str]:
     known = list(_keys(OmegaConf.to_container(defaults, resolve=False)))
     ends = {name: name.rpartition(".")[2] for name in known}
     similar = get_close_matches(key.rpartition(".")[2], sorted(set(ends.values())), 3, 0.75)
-    return (get_close_matches(key, known, 3, 0.8) or [name for end in similar for name in known if ends[name] == end])[
-        :3
-    ]
+    same_end = [name for end in similar for name in known if ends[name] == end]
+    return get_close_matches(key, known, 3, 0.8) or same_end[:3]
 
 
 def _key(override: str) -> str:

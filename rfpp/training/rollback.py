@@ -1,4 +1,4 @@
-"""Go back to an earlier step of a run: what came later is moved aside, and training goes on as a new branch."""
+"""Go back to an earlier step of a run: move aside what came later, so that training goes on as a new branch."""
 
 from __future__ import annotations
 

@@ -125,7 +125,7 @@ def is_smooth(
     normals: Float[np.ndarray, "n 3"],
     shaded: Int[np.ndarray, "f 3"],
 ) -> bool:
-    """Whether a stored normal (at `shaded`, its index at each corner) differs from its face's normal by a degree."""
+    """Return True if a stored normal (at `shaded`, its index at each corner) is a degree off its face's normal."""
     for i in range(0, len(faces), _CHUNK):
         a, b, c = np.moveaxis(vertices[faces[i : i + _CHUNK]], 1, 0)
         stored, face_normals = normals[shaded[i : i + _CHUNK]], np.cross(b - a, c - a)

@@ -28,7 +28,7 @@ class FiniteGradients(L.Callback):
     """
 
     def __init__(self, folder: str, skip: int):
-        self.folder, self.skip = Path(folder), skip
+        self.folder, self._skips_left = Path(folder), skip
         self._batches: list[tuple[tuple[str, ...], Tensor]] = []
 
     def on_train_batch_start(self, trainer: L.Trainer, module: L.LightningModule, batch: RaggedBatch, _: int) -> None:
@@ -47,8 +47,8 @@ class FiniteGradients(L.Callback):
         content = [{"scenes": list(keys), "loss": str(float(loss) * scale)} for keys, loss in batches]
         file = self.folder / f"step-{step:08d}-rank{trainer.global_rank}.json"
         write_atomically(file, json.dumps(content, indent=1).encode())
-        if self.skip > 0:
-            self.skip -= 1
+        if self._skips_left > 0:
+            self._skips_left -= 1
             for gradient in gradients:
                 gradient.zero_()
             warnings.warn(f"step {step} is skipped: its gradient is not finite; {file} lists its scenes", stacklevel=2)
