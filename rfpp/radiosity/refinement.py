@@ -14,6 +14,8 @@ from rfpp.imaging.radiance import log_encode
 
 #: Logit of a pixel's own place in the kernel before training: it keeps 7/8 of itself.
 _OWN = 4.0
+#: Limit of a neighbor's radiance in the mean: the pixel's own times the first, plus the image's mean times the second.
+_BRIGHTER = 2.0, 4.0
 
 
 class Refinement(nn.Module):
@@ -108,12 +110,20 @@ def _enlarged(
 
 
 def _mixed(image: Float[Tensor, "n 3 h w"], weights: Float[Tensor, "n 9 h w"]) -> Float[Tensor, "n 3 h w"]:
-    """Average each pixel with its neighbors, by the softmax of its weights."""
+    """Average each pixel with its neighbors, by the softmax of its weights.
+
+    A neighbor counts as at most `_BRIGHTER` [0] times the pixel plus [1] times the image's mean: beside a surface that a
+    light touches, a small share of it would be most of the pixel.
+    """
     own = _OWN * (torch.arange(9, device=weights.device) == 4)
     shares = torch.softmax(weights + own[:, None, None], dim=1)
     padded, (height, width) = F.pad(image, [1] * 4, mode="replicate"), image.shape[-2:]
+    times, means = _BRIGHTER
+    limit = times * image.amax(1, keepdim=True) + means * image.mean((1, 2, 3), keepdim=True)
     mixed = torch.zeros_like(image)
     for place in range(9):
         row, column = divmod(place, 3)
-        mixed = mixed + shares[:, place, None] * padded[..., row : row + height, column : column + width]
+        neighbor = padded[..., row : row + height, column : column + width]
+        dimmed = neighbor * (limit / neighbor.amax(1, keepdim=True).clamp_min(1e-20)).clamp_max(1)
+        mixed = mixed + shares[:, place, None] * dimmed
     return mixed

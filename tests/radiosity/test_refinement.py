@@ -34,11 +34,19 @@ def test_before_training_an_image_of_one_color_stays_as_it_is():
 
 def test_before_training_a_pixel_keeps_seven_eighths_of_itself():
     _, surfaces = views()
-    dot = torch.zeros(2, 3, 20, 24)
-    dot[..., 10, 10] = 1.0
+    dot = torch.full((2, 3, 20, 24), 0.25)
+    dot[..., 10, 10] = 1.25
     refined = refinement()(dot, surfaces, FOV)
-    assert refined[..., 10, 10].mean() == pytest.approx(7 / 8, abs=0.01)
-    torch.testing.assert_close(refined.sum((-2, -1)), torch.ones(2, 3))
+    assert refined[..., 10, 10].mean() == pytest.approx(0.25 + 7 / 8, abs=0.01)
+    torch.testing.assert_close(refined.sum((-2, -1)), dot.sum((-2, -1)))
+
+
+def test_a_bright_edge_does_not_spill():
+    _, surfaces = views()
+    bright = torch.full((2, 3, 20, 24), 0.01)
+    bright[..., 10, 10] = 100.0
+    refined = refinement()(bright, surfaces, FOV)
+    assert (refined[..., 10, 11] < 0.03).all()  # a neighbor has a share of 1/60: 1.7 of 100
 
 
 def test_twice_the_light_is_twice_the_image_and_none_is_none():
