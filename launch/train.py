@@ -26,6 +26,7 @@ from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
 
 from rfpp.checkpoint.loading import CheckpointInfo, load_initial_weights
+from rfpp.checkpoint.network_building import shapes_of
 from rfpp.commands import entry_point, write_config
 from rfpp.metrics.image import ImageMetrics
 from rfpp.training.blocks import compile_blocks
@@ -61,8 +62,9 @@ def main(cfg: DictConfig) -> Path | None:
     logger = instantiate(cfg.logger)
     data = instantiate(cfg.datamodule.source).manifest
     run_dir = Path(cfg.run_dir)
-    network = instantiate(cfg.model, _convert_="all")
     model = OmegaConf.to_container(cfg.model, resolve=True)
+    shapes_of(model, "model")  # or hours of training would end in a checkpoint that is refused
+    network = instantiate(cfg.model, _convert_="all")
     choice = AUTO if continues_job(run_dir) else cfg.checkpoint
     resumed = checkpoint_to_resume(choice, run_dir / "checkpoints", model)
     if cfg.initial_weights and resumed is None:

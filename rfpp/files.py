@@ -10,7 +10,7 @@ from pathlib import Path
 from rfpp.errors import UserError
 
 
-def write_atomically(path: Path, content: bytes) -> Path:
+def write_atomically(path: Path, content: bytes | memoryview) -> Path:
     """Write `content` to a temporary name beside `path` (folders are made) and move it into place; returns `path`.
 
     Raises:
@@ -23,6 +23,8 @@ def write_atomically(path: Path, content: bytes) -> Path:
             temporary = file.name
             os.fchmod(file.fileno(), 0o644)  # mkstemp makes it private
             file.write(content)
+            file.flush()
+            os.fsync(file.fileno())  # or a crash of the machine could leave the new name on an empty file
         os.replace(temporary, path)
     except OSError as error:
         if temporary is not None:

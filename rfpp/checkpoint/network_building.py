@@ -26,12 +26,17 @@ def build_network(config: Any, weights: dict[str, Tensor], where: str) -> Render
     Raises:
         CheckpointError: naming `where`: the configuration is not of a network, or of another than the weights are.
     """
-    with torch.device("meta"), _ShapesOnly():
-        shape = build(config, where)
+    shape = shapes_of(config, where)
     if not isinstance(shape, RenderFormerPP | Radiosity):
         raise CheckpointError(f"{where}: its configuration is of no network: use the version that made it")
     require_fitting(shape, weights, where)
     return build(config, where)
+
+
+def shapes_of(config: Any, where: str) -> Any:
+    """Build a configuration without memory for its weights. Raises CheckpointError if no checkpoint may hold it."""
+    with torch.device("meta"), _ShapesOnly():
+        return build(config, where)
 
 
 def build(config: Any, where: str) -> Any:
@@ -49,7 +54,8 @@ def build(config: Any, where: str) -> Any:
     target = config["_target_"]
     if not isinstance(target, str) or not target.startswith(ALLOWED_PREFIXES):
         raise CheckpointError(
-            f"{where}: names {target!r}, which is not in {' or '.join(p[:-1] for p in ALLOWED_PREFIXES)}: refused"
+            f"{where}: names {target!r}, which is not in {' or '.join(p[:-1] for p in ALLOWED_PREFIXES)}: refused; add "
+            "classes of your own to rfpp/model"
         )
     module_name, _, class_name = target.rpartition(".")
     try:

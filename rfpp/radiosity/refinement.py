@@ -112,8 +112,8 @@ def _enlarged(
 def _mixed(image: Float[Tensor, "n 3 h w"], weights: Float[Tensor, "n 9 h w"]) -> Float[Tensor, "n 3 h w"]:
     """Average each pixel with its neighbors, by the softmax of its weights.
 
-    A neighbor counts as at most `_BRIGHTER` [0] times the pixel plus [1] times the image's mean: beside a surface that a
-    light touches, a small share of it would be most of the pixel.
+    Neighbors are dimmed to a limit (`_BRIGHTER`): beside a surface that a light touches, a small share of it would
+    be most of the pixel.
     """
     own = _OWN * (torch.arange(9, device=weights.device) == 4)
     shares = torch.softmax(weights + own[:, None, None], dim=1)

@@ -1,4 +1,4 @@
-"""Checkpoint files: written atomically, validated before resuming."""
+"""Checkpoint files: written atomically in the background, validated before resuming."""
 
 from __future__ import annotations
 
@@ -7,31 +7,76 @@ import os
 import warnings
 import zipfile
 import zlib
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
+from time import sleep
 from typing import Any
 
 import torch
 from lightning.pytorch.plugins.io import TorchCheckpointIO
 
 from rfpp.checkpoint.loading import CHECKPOINT_KEY, read_checkpoint
-from rfpp.errors import CheckpointError
+from rfpp.errors import CheckpointError, UserError
 from rfpp.files import write_atomically
 
 #: `checkpoint=auto` resumes from the newest intact checkpoint of the run's folder, if there is one.
 AUTO = "auto"
+#: Seconds before each further attempt to write a checkpoint.
+REPEATED_AFTER = (2, 20)
 
 
-class AtomicCheckpointIO(TorchCheckpointIO):
-    """Writes a temporary file in the same folder and renames it; Lightning uses the system's temporary folder.
+class BackgroundCheckpointIO(TorchCheckpointIO):
+    """Writes checkpoints in a thread, atomically; training waits only while tensors are copied to host memory.
 
-    Raises:
-        UserError: If the file cannot be written, e.g. because the disk is full. An existing file stays unchanged.
+    A failed write is repeated. If it fails again, training continues with a warning and the files written before.
     """
 
+    def __init__(self) -> None:
+        self._thread = ThreadPoolExecutor(1, "checkpoint")
+        self._writing: Future[None] | None = None
+
     def save_checkpoint(self, checkpoint: dict[str, Any], path: str | Path, storage_options: Any = None) -> None:
+        """Copy a checkpoint and start writing it, after the one before.
+
+        Args:
+            storage_options: Called without arguments when the file is in place, or None.
+        """
+        self._failure()
         content = io.BytesIO()
         torch.save(checkpoint, content)
-        write_atomically(Path(path), content.getvalue())
+        self._writing = self._thread.submit(_write, Path(path), content, storage_options)
+
+    def wait(self) -> None:
+        """Wait until the last checkpoint is on disk. Raises UserError if it could not be written."""
+        if error := self._failure():
+            raise error
+
+    def remove_checkpoint(self, path: str | Path) -> None:
+        """Remove a checkpoint, unless the one that replaces it could not be written."""
+        if self._failure() is None:
+            super().remove_checkpoint(path)
+
+    def teardown(self) -> None:
+        self._failure()
+
+    def _failure(self) -> BaseException | None:
+        return None if self._writing is None else self._writing.exception()
+
+
+def _write(path: Path, content: io.BytesIO, when_written: Callable[[], None] | None) -> None:
+    for pause in (*REPEATED_AFTER, None):
+        try:
+            write_atomically(path, content.getbuffer())
+            break
+        except UserError as error:
+            retry = f"trying again in {pause} s" if pause else "the next checkpoint is the next attempt"
+            warnings.warn(f"{error}; training continues, {retry}", stacklevel=1)
+            if pause is None:
+                raise
+            sleep(pause)
+    if when_written:
+        when_written()
 
 
 def step_file(folder: Path, step: int) -> Path:

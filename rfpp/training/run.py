@@ -12,16 +12,20 @@ from lightning.pytorch.plugins.environments import SLURMEnvironment
 from torch import nn
 
 from rfpp.errors import UserError
-from rfpp.training.checkpoint_files import AtomicCheckpointIO
+from rfpp.training.checkpoint_files import BackgroundCheckpointIO
+
+
+class RunningError(UserError):
+    """Another process is training in the folder."""
 
 
 def trainer_plugins() -> list[Any]:
-    """Return the Trainer's plugins: atomic checkpoint files, and a Slurm environment without Lightning's requeueing.
+    """Return the Trainer's plugins.
 
-    Lightning's requeueing saves inside the signal handler.
+    Checkpoints are written in the background. Lightning's requeueing is disabled: it saves inside the signal handler.
     """
     slurm = [SLURMEnvironment(auto_requeue=False)] if SLURMEnvironment.detect() else []
-    return [AtomicCheckpointIO(), *slurm]
+    return [BackgroundCheckpointIO(), *slurm]
 
 
 @contextmanager
@@ -29,14 +33,14 @@ def locked(run_dir: Path) -> Iterator[None]:
     """Lock a run's folder. The operating system releases the lock of a killed process.
 
     Raises:
-        UserError: If another process holds the lock.
+        RunningError: If another process holds the lock.
     """
     run_dir.mkdir(parents=True, exist_ok=True)
     lock = FileLock(run_dir / ".lock", timeout=0)
     try:
         lock.acquire()
     except Timeout as error:
-        raise UserError(
+        raise RunningError(
             f"{run_dir}: another process is training this run: wait until it has finished, or choose another run_dir"
         ) from error
     except NotImplementedError:  # the file system has no locks

@@ -3,6 +3,7 @@
 import errno
 import os
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 import torch
@@ -10,9 +11,10 @@ from networks import checkpoint_info
 
 from rfpp.checkpoint.loading import CHECKPOINT_KEY
 from rfpp.errors import CheckpointError, UserError
+from rfpp.training import checkpoint_files
 from rfpp.training.checkpoint_files import (
     AUTO,
-    AtomicCheckpointIO,
+    BackgroundCheckpointIO,
     checkpoint_to_resume,
     find_defect,
     keep_newest,
@@ -27,9 +29,11 @@ INFO = checkpoint_info(model={"width": 3})
 @pytest.fixture
 def folder(tmp_path):
     """Three checkpoints."""
+    checkpoint_io = BackgroundCheckpointIO()
     for step in (1, 20, 300):
         content = {"state_dict": {"w": torch.arange(5000.0) + step}, CHECKPOINT_KEY: INFO.to_dict()}
-        AtomicCheckpointIO().save_checkpoint(content, step_file(tmp_path, step))
+        checkpoint_io.save_checkpoint(content, step_file(tmp_path, step))
+    checkpoint_io.wait()
     return tmp_path
 
 
@@ -88,13 +92,44 @@ def test_a_full_disk_leaves_the_old_file_unchanged(folder, monkeypatch):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     monkeypatch.setattr(os, "replace", full)
-    path = step_file(folder, 300)
+    monkeypatch.setattr(checkpoint_files, "REPEATED_AFTER", (0.2,))
+    path, checkpoint_io = step_file(folder, 300), BackgroundCheckpointIO()
     before = path.read_bytes()
+    checkpoint_io.save_checkpoint({"state_dict": {}}, path)
+    with pytest.warns(UserWarning, match=r"step-00000300\.ckpt: cannot be written \(No space.*training continues"):
+        checkpoint_io.remove_checkpoint(path)
     with pytest.raises(UserError, match=r"step-00000300\.ckpt: cannot be written \(No space left on device\)"):
-        AtomicCheckpointIO().save_checkpoint({"state_dict": {}}, path)
+        checkpoint_io.wait()
     assert path.read_bytes() == before
     assert find_defect(path) is None
     assert len(list(folder.iterdir())) == 3
+
+
+def test_a_failed_write_is_repeated(folder, monkeypatch):
+    attempts = []
+
+    def full_once(source, target):
+        attempts.append(target)
+        if len(attempts) == 1:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        Path(source).rename(target)
+
+    monkeypatch.setattr(os, "replace", full_once)
+    monkeypatch.setattr(checkpoint_files, "REPEATED_AFTER", (0.2,))
+    checkpoint_io, written = BackgroundCheckpointIO(), []
+    checkpoint_io.save_checkpoint({"state_dict": {}}, step_file(folder, 400), lambda: written.append(1))
+    with pytest.warns(UserWarning, match="trying again"):
+        checkpoint_io.wait()
+    assert find_defect(step_file(folder, 400)) is None
+    assert (len(attempts), written) == (2, [1])
+
+
+def test_a_checkpoint_holds_the_values_at_the_time_of_saving(folder):
+    weights, checkpoint_io = torch.zeros(1_000_000), BackgroundCheckpointIO()
+    checkpoint_io.save_checkpoint({"state_dict": {"w": weights}}, step_file(folder, 500))
+    weights.fill_(1)  # the next step
+    checkpoint_io.wait()
+    assert not torch.load(step_file(folder, 500))["state_dict"]["w"].any()
 
 
 def test_a_link_is_replaced(folder):

@@ -15,6 +15,7 @@ import pytest
 from mlflow import MlflowClient
 
 from rfpp.errors import UserError
+from rfpp.training.run import locked
 from rfpp.training.tracking.__main__ import main as send
 from rfpp.training.tracking.journal import Journal, records
 from rfpp.training.tracking.mlflow_logger import MlflowLogger
@@ -35,8 +36,8 @@ def store(tmp_path, empty_database):
     return tmp_path
 
 
-def logger(folder, uri=None, run="run", patience=60.0):
-    return MlflowLogger("rfpp", run, folder / run, folder, uri, patience)
+def logger(folder, uri=None, run="run", patience=60.0, sweep=""):
+    return MlflowLogger("rfpp", run, folder / run, folder, uri, patience, sweep)
 
 
 def history(folder, run_id, name, uri=None):
@@ -78,7 +79,12 @@ def test_a_killed_run_resumes_in_the_same_mlflow_run_without_gaps_or_repetitions
     with train(100_000) as process:
         process.stdout.readline()  # MLflow has created the run
         time.sleep(3)  # and some of it is sent
+        with locked(store / "run"):
+            assert send([str(store / "run")]) == 0
+        assert runs(store)[0].info.status == "RUNNING"
         process.send_signal(signal.SIGKILL)
+    assert send([str(store / "run")]) == 0
+    assert runs(store)[0].info.status == "KILLED"
     until = max(record["step"] for record, _ in records(store / "run/tracking/journal.jsonl") if "step" in record) + 10
     with train(until) as process:
         assert process.wait() == 0
@@ -86,6 +92,16 @@ def test_a_killed_run_resumes_in_the_same_mlflow_run_without_gaps_or_repetitions
     assert run.info.status == "FINISHED"
     assert history(store, run.info.run_id, "train/loss") == [(step, 1 / (1 + step)) for step in range(until)]
     assert [step for step, _ in history(store, run.info.run_id, "speed")] == list(range(until))
+
+
+def test_the_runs_of_a_sweep_have_one_parent(store):
+    for number in "01":
+        tracked = logger(store, run=number, sweep=f"quickstart 2026/{number}")
+        tracked.finalize("success" if tracked.run_id else "failed")
+    logger(store, run="alone", sweep="quickstart 2026/").run_id  # noqa: B018 (creates it)
+    parents = {run.info.run_name: run.data.tags.get("mlflow.parentRunId") for run in runs(store)}
+    (parent,) = [run.info.run_id for run in runs(store) if run.info.run_name == "sweep quickstart 2026"]
+    assert parents == {"0": parent, "1": parent, "alone": None, "sweep quickstart 2026": None}
 
 
 def test_records_sent_twice_are_stored_once(store):

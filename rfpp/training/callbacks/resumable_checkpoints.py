@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from time import monotonic
+from typing import cast
 
 import lightning as L
 from lightning.pytorch.callbacks import Checkpoint
 
 from rfpp.batch import RaggedBatch
-from rfpp.training.checkpoint_files import keep_newest, point_at, step_file
+from rfpp.training.checkpoint_files import BackgroundCheckpointIO, keep_newest, point_at, step_file
 from rfpp.training.signals import STOP_SIGNALS
 from rfpp.training.stopping import Agreement, StoppedError
 
@@ -52,7 +54,7 @@ class ResumableCheckpoints(Checkpoint):
         received, due = self._agree(STOP_SIGNALS.take(), trainer.is_global_zero and self._is_due_by_time())
         due = due or step - self._saved_step >= self.every_n_steps or step == trainer.max_steps
         if step > self._saved_step and (due or received):
-            self._save(trainer, step)
+            self._save(trainer, step, is_last=bool(received) or step == trainer.max_steps)
         if received and step < trainer.max_steps:
             raise StoppedError(f"stopped by {received.name} after step {step} of {trainer.max_steps}", received)
 
@@ -62,12 +64,16 @@ class ResumableCheckpoints(Checkpoint):
         wait = max(60 * self.every_n_minutes, MIN_TRAINING_PER_SAVING * self._saving_seconds)
         return monotonic() - self._saved_at >= wait
 
-    def _save(self, trainer: L.Trainer, step: int) -> None:
+    def _save(self, trainer: L.Trainer, step: int, is_last: bool) -> None:
         begin = monotonic()
         path = step_file(self.folder, step)
-        trainer.save_checkpoint(path)
-        if trainer.is_global_zero:
-            point_at(path, self.folder / "last.ckpt")
-            keep_newest(self.folder, self.keep)
+        trainer.save_checkpoint(path, storage_options=partial(_replace_older, path, self.keep))
+        if is_last and trainer.is_global_zero:
+            cast(BackgroundCheckpointIO, trainer.strategy.checkpoint_io).wait()
         self._saved_step, self._saved_at = step, monotonic()
         self._saving_seconds = self._saved_at - begin
+
+
+def _replace_older(path: Path, keep: int) -> None:
+    point_at(path, path.with_name("last.ckpt"))
+    keep_newest(path.parent, keep)

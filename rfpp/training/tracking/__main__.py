@@ -1,4 +1,4 @@
-"""Send the journals of runs that ended while the MLflow server was unreachable.
+"""Send the journals of runs that ended while the MLflow server was unreachable; mark killed runs.
 
 python -m rfpp.training.tracking <run folder> …
 """
@@ -6,9 +6,12 @@ python -m rfpp.training.tracking <run folder> …
 from __future__ import annotations
 
 import sys
+from contextlib import suppress
 from pathlib import Path
 
 from rfpp.errors import UserError
+from rfpp.training.run import RunningError, locked
+from rfpp.training.tracking.journal import JOURNAL, Journal, records
 from rfpp.training.tracking.registry import first_line
 from rfpp.training.tracking.sending import Sender
 
@@ -19,6 +22,7 @@ def main(folders: list[str]) -> int:
     for folder in folders:
         try:
             sender = Sender(Path(folder))
+            _mark_killed(sender.run_dir)
             sender.send()
             print(f"{folder}: MLflow run {sender.mlflow_run.run_id} in {sender.mlflow_run.tracking_uri} is complete")
         except UserError as error:
@@ -29,6 +33,14 @@ def main(folders: list[str]) -> int:
             print(f"error: {folder}: {reason}", file=sys.stderr)
             status = 1
     return status
+
+
+def _mark_killed(run_dir: Path) -> None:
+    """Record the end of a run whose process died without recording it."""
+    statuses = [record["value"] for record, _ in records(run_dir / JOURNAL) if record["kind"] == "status"]
+    if statuses[-1:] == ["RUNNING"]:
+        with suppress(RunningError), locked(run_dir):
+            Journal(run_dir / JOURNAL).append("status", value="KILLED")
 
 
 if __name__ == "__main__":

@@ -25,6 +25,7 @@ class MlflowLogger(RunLogger):
     Args:
         folder: Folder of the store if there is no server.
         patience: Seconds to wait for MLflow at the start, for the run's id, and at the end.
+        sweep: Name of a sweep, a slash, and the run's number; without number if it is in no sweep.
     """
 
     def __init__(
@@ -35,10 +36,13 @@ class MlflowLogger(RunLogger):
         folder: str | Path,
         tracking_uri: str | None,
         patience: float,
+        sweep: str = "",
     ):
         super().__init__(run_name, run_dir)
         self.patience = patience
-        self._new_run = partial(MlflowRun.new, folder, tracking_uri, experiment_name, run_name)
+        group, _, number = sweep.rpartition("/")
+        names = (experiment_name, run_name, group if number else None)
+        self._new_run = partial(MlflowRun.new, folder, tracking_uri, *names)
 
     def _begin(self) -> Journal:
         file = self.run_dir / RUN_FILE

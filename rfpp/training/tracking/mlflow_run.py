@@ -19,6 +19,8 @@ from rfpp.files import write_atomically
 ONE_TRY = {"MLFLOW_HTTP_REQUEST_MAX_RETRIES": "0", "MLFLOW_HTTP_REQUEST_TIMEOUT": "30"}
 #: Tag that identifies the MLflow run of a run folder, even if a process died before it received the run's id.
 FOLDER_TAG = "run_folder_id"
+#: Tag that identifies the parent run of a sweep.
+SWEEP_TAG = "sweep"
 
 
 def connect(tracking_uri: str) -> MlflowClient:
@@ -43,6 +45,7 @@ class MlflowRun:
         folder_id: Id of the run folder, the value of FOLDER_TAG.
         artifact_location: Folder of the experiment's artifacts; None if the server decides.
         sent: Bytes of the journal that MLflow has received.
+        sweep: Name of the sweep, whose runs are children of one run; None if there is no sweep.
     """
 
     folder_id: str
@@ -52,9 +55,12 @@ class MlflowRun:
     run_name: str
     run_id: str | None = None
     sent: int = 0
+    sweep: str | None = None
 
     @classmethod
-    def new(cls, folder: str | Path, tracking_uri: str | None, experiment_name: str, run_name: str) -> MlflowRun:
+    def new(
+        cls, folder: str | Path, tracking_uri: str | None, experiment_name: str, run_name: str, sweep: str | None
+    ) -> MlflowRun:
         """Describe a run that MLflow does not have yet: on a server, or in the store in `folder`."""
         on_server = tracking_uri is not None and tracking_uri.startswith(("http://", "https://", "databricks"))
         if not on_server:  # by default MLflow would write artifacts to the current directory
@@ -65,6 +71,7 @@ class MlflowRun:
             artifact_location=None if on_server else (Path(folder).resolve() / "artifacts").as_uri(),
             experiment_name=experiment_name,
             run_name=run_name,
+            sweep=sweep,
         )
 
     @classmethod
@@ -91,4 +98,16 @@ class MlflowRun:
         if found := client.search_runs([experiment], f"tags.{FOLDER_TAG} = '{self.folder_id}'", max_results=1):
             return replace(self, run_id=found[0].info.run_id)
         tags = {FOLDER_TAG: self.folder_id, "host": socket.gethostname()}
+        if self.sweep is not None:
+            tags["mlflow.parentRunId"] = _parent(client, experiment, self.sweep)
         return replace(self, run_id=client.create_run(experiment, tags=tags, run_name=self.run_name).info.run_id)
+
+
+def _parent(client: MlflowClient, experiment: str, sweep: str) -> str:
+    """Return the id of a sweep's parent run; if several processes create one at the same time, that of the oldest."""
+    query, oldest = f"tags.{SWEEP_TAG} = '{sweep}'", ["attributes.start_time", "attributes.run_id"]
+    if not client.search_runs([experiment], query, max_results=1):
+        created = client.create_run(experiment, tags={SWEEP_TAG: sweep}, run_name=f"sweep {sweep}")
+        client.set_terminated(created.info.run_id)
+    found: str = client.search_runs([experiment], query, order_by=oldest, max_results=1)[0].info.run_id
+    return found
