@@ -26,6 +26,6 @@ class MissingDependencyError(UserError):
 
 
 def one_line(text: str, length: int = 200) -> str:
-    """Text of a file for messages and names: printable, on one line, of bounded length."""
+    """Make text from a file safe for messages and names: printable, one line, bounded length."""
     kept = "".join(c if c.isprintable() else " " for c in text[: 4 * length])
     return kept if len(kept) <= length else f"{kept[:length]}…"

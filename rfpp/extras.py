@@ -21,7 +21,7 @@ EXTRAS = {
 
 
 def missing_extra(error: BaseException) -> MissingDependencyError | None:
-    """The error in one line that names the extra, if a library of EXTRAS was missing; else None.
+    """Return a one-line error that names the extra of a missing library; None for other errors.
 
     Args:
         error: what was raised; what it was raised from counts too, as Hydra wraps what it meets.

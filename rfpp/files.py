@@ -11,10 +11,10 @@ from rfpp.errors import UserError
 
 
 def write_atomically(path: Path, content: bytes | memoryview) -> Path:
-    """Write `content` to a temporary name beside `path` (folders are made) and move it into place; returns `path`.
+    """Write `content` to a temporary file beside `path`, rename it, and return `path`. Missing folders are created.
 
     Raises:
-        UserError: the disk is full, the folder cannot be written, and the like; nothing is left behind.
+        UserError: If the file cannot be written, for example because the disk is full; no temporary file remains.
     """
     temporary = None
     try:
@@ -34,10 +34,10 @@ def write_atomically(path: Path, content: bytes | memoryview) -> Path:
 
 
 def is_plain_name(name: object) -> bool:
-    """Whether text from outside may name a file: letters, digits, dots, dashes, underscores."""
+    """Return whether untrusted text may name a file: letters, digits, dots, dashes, underscores."""
     return isinstance(name, str) and re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,199}", name) is not None
 
 
 def as_file_name(text: str) -> str:
-    """A plain name that is as near to the text as can be."""
+    """Return the closest plain file name."""
     return re.sub(r"[^A-Za-z0-9_.-]", "_", text).lstrip(".-")[:200] or "unnamed"

@@ -8,12 +8,12 @@ _PACKAGE = Path(__file__).resolve().parent
 
 
 def is_installed() -> bool:
-    """Whether the package lies where an installer put it, and not in the project's source tree."""
+    """Return whether the package is installed, not run from the source tree."""
     return (_PACKAGE / "_conf").is_dir()
 
 
 def carried(folder: str, inside: str) -> Path:
-    """A folder of the source tree, or where an installed package has it.
+    """Return a folder of the source tree, or its copy in the installed package.
 
     Args:
         folder: relative to the source tree's top level, as "conf".

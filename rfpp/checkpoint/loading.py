@@ -66,14 +66,14 @@ class CheckpointInfo:
 
 
 def load_network(path: Path | str) -> tuple[nn.Module, CheckpointInfo]:
-    """The network in evaluation mode on the CPU, and what its checkpoint says about itself.
+    """Load a network in evaluation mode on the CPU, and the description in its checkpoint.
 
     Args:
-        path: a file written by launch/train.py; or a folder with config.json and model.safetensors, written by
-            `Renderer.save` or a released RenderFormer, or its id on the Hugging Face hub.
+        path: File of launch/train.py; or folder with config.json and model.safetensors, of `Renderer.save` or a
+            released RenderFormer, or its id on the Hugging Face hub.
 
     Raises:
-        CheckpointError: it is missing, unreadable, of an unknown kind, or its weights are not of the network it names.
+        CheckpointError: If it is missing, unreadable or of an unknown kind, or if its weights do not fit its network.
     """
     info, weights = _read(path)
     network = build_network(info.model, weights, str(path))
@@ -82,12 +82,12 @@ def load_network(path: Path | str) -> tuple[nn.Module, CheckpointInfo]:
 
 
 def load_initial_weights(network: nn.Module, path: Path | str) -> None:
-    """Give a network the weights of a checkpoint, ours or a released RenderFormer, to train it further.
+    """Initialize a network with the weights of a checkpoint, ours or a released RenderFormer.
 
-    A released texture encoder is folded for a network that knows one material per triangle.
+    A released texture encoder is folded for a network with one material per triangle.
 
     Raises:
-        CheckpointError: the checkpoint cannot be read, or is of another model.
+        CheckpointError: If the checkpoint cannot be read or belongs to another model.
     """
     _, weights = _read(path)
     if isinstance(network.embedding, TriangleEmbedding) and "embedding.texture_proj.weight" in weights:
@@ -111,8 +111,8 @@ def _read(checkpoint: Path | str) -> tuple[CheckpointInfo, dict[str, torch.Tenso
 def _read_file(path: Path) -> tuple[CheckpointInfo, dict[str, torch.Tensor]]:
     if path.parts[0] == "models:":
         raise CheckpointError(
-            f"{path}: is a model of MLflow's registry: give it to launch/render.py or launch/evaluate.py, or fetch its "
-            "file by rfpp.training.tracking.registry.checkpoint_file"
+            f"{path}: is a model of MLflow's registry: use it with launch/render.py or launch/evaluate.py, or fetch "
+            "its file with rfpp.training.tracking.registry.checkpoint_file"
         )
     if not path.is_file():
         raise CheckpointError(f"{path}: no such checkpoint: train one with launch/train.py, or correct the path")
@@ -125,13 +125,14 @@ def _read_file(path: Path) -> tuple[CheckpointInfo, dict[str, torch.Tensor]]:
 
 
 def read_checkpoint(path: Path, **how: Any) -> dict[str, Any]:
-    """The content of a checkpoint written by Lightning; no code in it is executed.
+    """Read a checkpoint written by Lightning, without executing code from it.
 
     Args:
-        how: further arguments of torch.load.
+        path: File.
+        how: Further arguments of torch.load.
 
     Raises:
-        CheckpointError: it cannot be read, holds more than tensors and plain values, or is not of this project.
+        CheckpointError: If it cannot be read, holds more than tensors and plain values, or is not of this project.
     """
     try:
         content = torch.load(path, map_location="cpu", weights_only=True, **how)
@@ -158,8 +159,10 @@ def _info(about: Any, path: Path) -> CheckpointInfo:
         first = error.errors()[0]
         what = ".".join(map(str, first["loc"]))
         raise CheckpointError(
-            f"{path}: its description does not fit ({what}: {first['msg']}): use the version that made it"
+            f"{path}: its description does not fit ({what}: {first['msg']}): use the version of rfpp that wrote it"
         ) from None
     if not all(0 < side <= _LARGEST_SIDE for side in info.resolution):
-        raise CheckpointError(f"{path}: was trained at {info.resolution} pixels, it says: use the version that made it")
+        raise CheckpointError(
+            f"{path}: claims training at {info.resolution} pixels: use the version of rfpp that wrote it"
+        )
     return info

@@ -22,18 +22,18 @@ _HUB_ID = re.compile(r"[A-Za-z0-9][\w.-]*/[A-Za-z0-9][\w.-]*")
 
 
 def names_folder(checkpoint: Path | str) -> bool:
-    """Whether this names such a folder: one that is there, one of ours, or what can only be a hub id."""
+    """Return whether this names a model folder: an existing one, a shipped one, or a hub id."""
     path = Path(checkpoint)
     is_hub_id = _HUB_ID.fullmatch(str(checkpoint)) and path.suffix != ".ckpt"
     return path.is_dir() or (not path.exists() and bool(shipped(str(checkpoint)) or is_hub_id))
 
 
 def folder_of(checkpoint: Path | str) -> Path:
-    """The folder itself, one that comes with the project, or one fetched from the hub.
+    """Return the path of a model folder: an existing one, a shipped one, or a download from the hub.
 
     Raises:
-        CheckpointError: the hub does not give it.
-        MissingDependencyError: a hub id without huggingface_hub.
+        CheckpointError: If it cannot be downloaded.
+        MissingDependencyError: If it is a hub id and huggingface_hub is not installed.
     """
     if Path(checkpoint).is_dir():
         return Path(checkpoint)
@@ -41,7 +41,7 @@ def folder_of(checkpoint: Path | str) -> Path:
 
 
 def read_folder(folder: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
-    """Configuration and weights. Raises CheckpointError naming the file that is missing or damaged."""
+    """Read configuration and weights. Raises CheckpointError naming a missing or damaged file."""
     config, weights = folder / CONFIG_FILE, folder / WEIGHTS_FILE
     for file in (config, weights):
         if file.exists() and not file.is_file():
@@ -59,7 +59,7 @@ def read_folder(folder: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
 
 
 def write_folder(folder: Path, config: Mapping[str, Any], weights: Mapping[str, Tensor], card: str) -> Path:
-    """Write a folder that `read_folder` reads, with its model card; returns it. Raises UserError (full disk)."""
+    """Write a model folder with its card, and return it. Raises UserError if it cannot be written."""
     contiguous = {name: tensor.detach().cpu().contiguous() for name, tensor in weights.items()}
     write_atomically(folder / WEIGHTS_FILE, save(contiguous))
     write_atomically(folder / CARD_FILE, card.encode())

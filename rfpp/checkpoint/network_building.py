@@ -15,20 +15,20 @@ from rfpp.radiosity.radiosity import Radiosity
 
 #: Packages whose classes a checkpoint may name; anything else is refused, not imported.
 ALLOWED_PREFIXES = ("rfpp.model.", "rfpp.radiosity.")
-#: No number in a network's configuration is larger, and none of what is done so many times.
+#: Largest number in a network's configuration, and largest number of repetitions.
 _LARGEST, _MOST_TIMES = 1 << 20, 1024
 _TIMES = ("layers", "iterations", "frequencies", "bounces")
 
 
 def build_network(config: Any, weights: dict[str, Tensor], where: str) -> RenderFormerPP | Radiosity:
-    """The network of a configuration, without its weights, for which it is made to fit before any memory is taken.
+    """Build the network of a configuration, without loading its weights, which are checked first.
 
     Raises:
-        CheckpointError: naming `where`: the configuration is not of a network, or of another than the weights are.
+        CheckpointError: If the configuration describes no network, or one that the weights do not fit.
     """
     shape = shapes_of(config, where)
     if not isinstance(shape, RenderFormerPP | Radiosity):
-        raise CheckpointError(f"{where}: its configuration is of no network: use the version that made it")
+        raise CheckpointError(f"{where}: its configuration describes no network: use the version of rfpp that wrote it")
     require_fitting(shape, weights, where)
     return build(config, where)
 
@@ -63,13 +63,15 @@ def build(config: Any, where: str) -> Any:
         if not (isinstance(part, type) and part.__module__ == module_name):
             raise AttributeError(f"{target} is not a class defined there")
         return part(**arguments)
-    except Exception as error:  # constructors were not written for what a stranger's file may give them
+    except Exception as error:  # untrusted arguments fail in many ways
         reason = (str(error).strip() or type(error).__name__).splitlines()[0][:160]
-        raise CheckpointError(f"{where}: cannot build {target} ({reason}): use the version that made it") from None
+        raise CheckpointError(
+            f"{where}: cannot build {target} ({reason}): use the version of rfpp that wrote it"
+        ) from None
 
 
 class _ShapesOnly(TorchFunctionMode):
-    """Without memory there are no values to compute, and trying to imports PyTorch's compiler, which takes a second."""
+    """Skip operations that need values: without memory there are none, and they import PyTorch's compiler."""
 
     _OF_ONE_SHAPE = (torch.Tensor.normal_, torch.Tensor.__rpow__)
 
@@ -78,7 +80,7 @@ class _ShapesOnly(TorchFunctionMode):
 
 
 def require_fitting(network: nn.Module, weights: dict[str, Tensor], where: str) -> None:
-    """Raises CheckpointError where the weights are not, all of them, those of the network."""
+    """Raise CheckpointError unless names and shapes of all weights are those of the network."""
     expected = network.state_dict()
     missing, extra = sorted(expected.keys() - weights.keys()), sorted(weights.keys() - expected.keys())
     wrong = sorted(k for k in expected.keys() & weights.keys() if expected[k].shape != weights[k].shape)
@@ -91,5 +93,5 @@ def require_fitting(network: nn.Module, weights: dict[str, Tensor], where: str) 
 
 def _usual(value: Any, where: str) -> Any:
     if isinstance(value, int | float) and not -_LARGEST <= value <= _LARGEST:  # NaN is neither
-        raise CheckpointError(f"{where}: its configuration holds a number that is none up to {_LARGEST:,}: refused")
+        raise CheckpointError(f"{where}: its configuration holds a number beyond ±{_LARGEST:,}: refused")
     return value

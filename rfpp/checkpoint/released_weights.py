@@ -45,30 +45,31 @@ _WINDOW = 8
 def released(
     config: dict[str, Any], tensors: dict[str, Tensor], folder: Path
 ) -> tuple[dict[str, Any], dict[str, Tensor]]:
-    """The network's `_target_` config and its weights under our names.
+    """Return the network's `_target_` config and its weights under our names.
 
     Args:
-        config, tensors: what `folder` holds.
+        config, tensors: Content of the folder.
+        folder: Folder, for errors.
 
     Raises:
-        CheckpointError: a tensor is missing or unknown, or a config value is one that we do not support; named.
+        CheckpointError: If a tensor is missing or unknown, or a config value is not supported.
     """
     config, tensors = _known(config, folder / CONFIG_FILE), dict(tensors)
     try:
         weights = dict(_renamed(config, tensors))
         _check_frequencies(config, tensors, folder / WEIGHTS_FILE)
     except KeyError as error:
-        raise CheckpointError(f"{folder / WEIGHTS_FILE}: lacks the tensor {error}: it is not whole") from None
-    if tensors:  # what nobody took
+        raise CheckpointError(f"{folder / WEIGHTS_FILE}: lacks the tensor {error}: copy it again") from None
+    if tensors:  # unused
         raise CheckpointError(
             f"{folder / WEIGHTS_FILE}: has the unknown tensor {min(tensors)} (and {len(tensors) - 1} more): "
-            "it is of another model"
+            "it belongs to another model"
         )
     return _model(config), weights
 
 
 def with_folded_texture(weights: dict[str, Tensor]) -> dict[str, Tensor]:
-    """The same network with TriangleEmbedding in the place of TexturePatchEmbedding (see there): exact."""
+    """Return the weights of the same network with TriangleEmbedding in place of TexturePatchEmbedding; exact."""
     weights = dict(weights)
     patches = weights.pop("embedding.texture_proj.weight").unflatten(1, (TEXTURE_CHANNELS, -1))
     covered = torch.from_numpy(covered_cells(math.isqrt(patches.shape[-1]))).flatten()
@@ -81,9 +82,9 @@ def with_folded_texture(weights: dict[str, Tensor]) -> dict[str, Tensor]:
 
 
 def _known(given: dict[str, Any], path: Path) -> dict[str, Any]:
-    """The configuration with its defaults, if it is one that we support."""
+    """Return the configuration with its defaults. Raises CheckpointError if it is not supported."""
     if unknown := sorted(given.keys() - _DEFAULTS.keys()):
-        raise CheckpointError(f"{path}: unknown key '{unknown[0]}': it is not of a RenderFormer that we know")
+        raise CheckpointError(f"{path}: unknown key '{unknown[0]}': it belongs to an unknown version of RenderFormer")
     for key, default in _DEFAULTS.items():
         if key not in _FREE and given.get(key, default) != default:
             raise CheckpointError(f"{path}: {key} is {given[key]!r}, only {default!r} is supported")
@@ -97,7 +98,7 @@ def _known(given: dict[str, Any], path: Path) -> dict[str, Any]:
 
 
 def _model(config: dict[str, Any]) -> dict[str, Any]:
-    """RenderFormer from our parts, as conf/model/renderformer.yaml builds it, with the released embedding."""
+    """Return the config of RenderFormer, as in conf/model/renderformer.yaml, with the released embedding."""
     attention = {"width": config["latent_dim"], "heads": config["num_heads"], "hidden": config["dim_feedforward"]}
     frequencies = config["vertex_pe_num_freqs"] // 2
     windows = {"_target_": "rfpp.model.layers.ray_windows.WholeView"}
@@ -138,7 +139,7 @@ def _model(config: dict[str, Any]) -> dict[str, Any]:
 
 
 def _renamed(config: dict[str, Any], tensors: dict[str, Tensor]) -> Iterator[tuple[str, Tensor]]:
-    """(our name, tensor) pairs; takes what it uses out of `tensors`. Raises KeyError for a missing one."""
+    """Yield (our name, tensor) and remove it from `tensors`. Raises KeyError if one is missing."""
     take = tensors.pop
     yield "embedding.token", take("tri_token").flatten()
     yield "tokenizer.registers", take("reg_tokens")[0]
@@ -184,14 +185,14 @@ _RAYS = {
 
 
 def _check_frequencies(config: dict[str, Any], tensors: dict[str, Tensor], path: Path) -> None:
-    """Take RSPE's frequencies, which are no weights of ours. Raises KeyError, or CheckpointError for other ones."""
+    """Remove RSPE's frequencies from `tensors`. Raises KeyError, or CheckpointError if they differ from ours."""
     count = config["vertex_pe_num_freqs"] // 2
     expected = RelativeSpatialEncoding(18 * count, count).frequencies  # in the narrowest head that holds them
     for transformer in ("transformer", "view_transformer.transformer"):
         name = f"{transformer}.rope_emb.freqs"
         found = tensors.pop(name)
         if found.shape != expected.shape or not torch.allclose(found, expected, rtol=1e-4):
-            raise CheckpointError(f"{path}: {name} are other frequencies than RSPE's: not supported")
+            raise CheckpointError(f"{path}: {name} differ from RSPE's frequencies: not supported")
 
 
 def _attention(tensors: dict[str, Tensor], ours: str, theirs: str) -> Iterator[tuple[str, Tensor]]:
@@ -215,12 +216,12 @@ def _image_head(tensors: dict[str, Tensor]) -> Iterator[tuple[str, Tensor]]:
 
     for level in range(4):
         yield from layer(f"project.{level}", f"projects.{level}")
-        if level != 2:  # that one keeps its size
+        if level != 2:  # keeps its size
             yield from layer(f"resample.{level}", f"resize_layers.{level}")
         yield from layer(f"to_common.{level}", f"scratch.layer{level + 1}_rn", ("weight",))
         ours, theirs = f"fuse.{level}", f"scratch.refinenet{level + 1}"
         units = {"refine_skip": "resConvUnit1", "refine": "resConvUnit2"}
-        if level == 3:  # the coarsest has nothing to be added to
+        if level == 3:  # the coarsest level has no skip connection
             del units["refine_skip"]
         for unit, their_unit in units.items():
             for conv in ("conv1", "conv2"):

@@ -52,7 +52,7 @@ def write_comparison(
 
 
 def gbuffer_layers(stacked: Float[np.ndarray, "c h w"], names: Sequence[str]) -> Layers:
-    """Return `stack_channels` under conventional names: albedo.R, normal.X, depth.Z, roughness.Y (luminance), …"""
+    """Return `stack_channels` under conventional names: albedo.R, normal.X, depth.Z, roughness.Y (luminance)."""
     layers, planes = {}, iter(stacked)
     for name in names:
         vector, number = "RGB" if name in COLOR_CHANNELS else "XYZ", "Z" if name == "depth" else "Y"
@@ -63,7 +63,7 @@ def gbuffer_layers(stacked: Float[np.ndarray, "c h w"], names: Sequence[str]) ->
 
 
 def light_layers(images: Mapping[str, Image]) -> Layers:
-    """Return the image of each light, by name, as layers: light_lamp.R, …"""
+    """Return the image of each light, by name, as layers such as light_lamp.R."""
     named: dict[str, Image] = {}
     for number, (name, image) in enumerate(images.items()):
         layer = "light_" + re.sub(r"\W", "_", name)
@@ -72,7 +72,7 @@ def light_layers(images: Mapping[str, Image]) -> Layers:
 
 
 def bounce_layers(images: Sequence[Image]) -> Layers:
-    """Return the light after one reflection, after two, … as layers: bounce_01.R, …"""
+    """Return the light after one reflection, after two, … as layers such as bounce_01.R."""
     return _color_layers({f"bounce_{number:02}": image for number, image in enumerate(images, start=1)})
 
 

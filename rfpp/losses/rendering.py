@@ -48,7 +48,7 @@ class RenderingLoss(nn.Module):
         scenes: Segments | None = None,
         token_light: Float[Tensor, "tokens k 3"] | None = None,
     ) -> dict[str, Tensor]:
-        """Every term, unweighted, under its own name; `loss` is their weighted sum.
+        """Return every unweighted term by name; `loss` is the weighted sum.
 
         Names: loss, l1, lpips (where weighted), consistency and consistency_1 … consistency_K (where there are
         transport states), token_light. `target` is linear radiance; `scenes`: see TransportConsistency.

@@ -29,7 +29,7 @@ class TransportConsistency(nn.Module):
     def forward(
         self, states: Sequence[Float[Tensor, "n width"]], scenes: Segments | None = None, count: int | None = None
     ) -> Float[Tensor, " k"]:
-        """[K] residuals; the loss is their sum.
+        """Return the residuals [K]; the loss is their sum.
 
         Args:
             states: K + 1 scattered features, or none (then K = 0).
@@ -45,7 +45,7 @@ class TransportConsistency(nn.Module):
 
 
 def _weights(scenes: Segments, count: int | None) -> Float[Tensor, " n"]:
-    """[N] summing to 1, that of each of the first `count` scenes to the same."""
+    """Return weights [N] that sum to 1, with equal sums for each of the first `count` scenes."""
     weight = 1 / ((count or len(scenes)) * scenes.sizes.clamp_min(1).float())
     if count is not None and count < len(scenes):
         weight = weight * (torch.arange(len(scenes), device=weight.device) < count)

@@ -113,7 +113,7 @@ class ResidualConvUnit(nn.Module):
 
 
 def _convolved(conv: nn.Conv2d, x: Float[Tensor, "n c h w"]) -> Float[Tensor, "n d h w"]:
-    """conv(silu(x))."""
+    """Return conv(silu(x))."""
     if torch.compiler.is_compiling():  # which decides for itself what to keep
         out: Tensor = conv(F.silu(x))
         return out

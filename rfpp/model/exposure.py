@@ -34,7 +34,7 @@ class MeanIrradianceExposure:
     """
 
     def __call__(self, batch: RaggedBatch) -> Float[Tensor, " b"]:
-        """[B] radiance; 1 for a scene without light, or with nothing to light."""
+        """Return the exposure [B] in units of radiance; 1 for scenes without light or lit surfaces."""
         area, emission = object_areas(batch), batch.material[:, 7:10].mean(-1)
         lit = (mean_by_object(emission[:, None], batch)[:, 0] == 0) * area  # [O] area, zero for emitters
         centroid = mean_by_object(batch.positions.mean(1), batch)
@@ -55,7 +55,7 @@ class MeanIrradianceExposure:
 
 
 def emitters_and_objects(batch: RaggedBatch) -> tuple[Int[np.ndarray, " pairs"], Int[np.ndarray, " pairs"]]:
-    """Every pair of an emitting triangle and an object of its scene, as rows of triangles and of objects."""
+    """Return all pairs of an emitting triangle and an object of its scene, as rows of triangles and of objects."""
     last_triangles, last_objects = np.cumsum(batch.objects.lengths), np.cumsum(batch.scenes.lengths)
     owner = np.searchsorted(last_triangles, batch.emitters, side="right")
     scene = np.searchsorted(last_objects, owner, side="right")

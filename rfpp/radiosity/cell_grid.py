@@ -14,26 +14,26 @@ from rfpp.radiosity.cell_table import DIRECTIONS, MOST_PIECES, NOWHERE, SIDES, C
 from rfpp.raycast.threads import over_rows
 from rfpp.scene.triangles import SceneTriangles
 
-#: Half an object is cut into so many pieces along an axis that they are about this long, in world units.
+#: Approximate edge of a cell, in world units.
 CELL_EDGE = 0.1
-#: Triangles up to which edges are looked for, and the cosine between two normals below which they meet at a crease.
+#: Largest number of triangles for which edges are searched; cosine between normals below which they meet at a crease.
 _MOST_TRIANGLES, _CREASE = 4096, 0.87
-#: Moments that differ by less than this share are of a symmetric object, whose axes they do not tell.
+#: Moments closer than this share belong to a symmetric object, whose axes they do not determine.
 _SYMMETRIC = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
 class CellGrid:
-    """Every object cut up along its own principal axes, so that cells move with it.
+    """Grids along the principal axes of each object, so that cells move with it.
 
-    A cell is a box of an object's grid and, of the surface in it, what faces one way: walls that meet in a corner are
-    lit differently, and so are the two sides of a sheet.
+    A cell is the surface in one box of the grid that faces one direction: walls that meet in a corner are lit
+    differently, as are the two sides of a sheet.
 
     Attributes:
-        centroid: [O, 3] of each object's surface.
-        axes: [O, 3, 3] rows: its principal axes, longest first.
-        half: [O, 3] how far it reaches along them.
-        pieces: [O, 3] into how many it is cut on either side of the centroid.
+        centroid: Centroid of each object's surface.
+        axes: Principal axes as rows, longest first.
+        half: Reach along the axes.
+        pieces: Number of boxes on either side of the centroid.
     """
 
     triangles: SceneTriangles
@@ -44,7 +44,7 @@ class CellGrid:
 
     @classmethod
     def over(cls, triangles: SceneTriangles) -> CellGrid:
-        """The grid of a scene."""
+        """Divide the objects of a scene."""
         bounds = triangles.object_offsets
         parts = [triangles.positions[a:b].astype(np.float64) for a, b in pairwise(bounds)]
         placed = [principal_axes(part) for part in parts]
@@ -59,7 +59,7 @@ class CellGrid:
 
     @cached_property
     def _direction(self) -> Int[np.ndarray, " m"]:
-        """Return the side that each triangle faces, in its object's axes."""
+        """Return the direction that each triangle faces, in its object's axes."""
         corners = self.triangles.positions.astype(np.float64)
         normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         local = np.einsum("mij,mj->mi", self.axes[self.triangles.object_index], normal)
@@ -69,7 +69,7 @@ class CellGrid:
 
     @cached_property
     def first(self) -> Int[np.ndarray, " o_plus_1"]:
-        """Key of each object, and how many keys there are."""
+        """First key of each object, and the number of keys."""
         first: np.ndarray = np.concatenate([[0], np.cumsum(8 * self._keys_of_octant)])
         return first
 
@@ -81,7 +81,7 @@ class CellGrid:
     def keys(
         self, triangle: Int[np.ndarray, " r"], point: Float[np.ndarray, "r 3"], back: np.ndarray
     ) -> Int[np.ndarray, " r"]:
-        """A number for the cell of each point on the front or the back of a triangle; the same for the same cell."""
+        """Return the key of each point on the front or the back of a triangle; equal for points of one cell."""
         keys = np.empty(len(triangle), np.int64)
         over_rows(len(keys), keys_each, self._table(np.zeros(0, np.int64), NO_SPLITS), triangle, point, back, keys)
         return keys
@@ -101,7 +101,7 @@ class CellGrid:
         return CellTable(owner, self._direction, *placed, self.first[:-1], cell, splits.plane, splits.child)
 
     def octants(self, keys: Int[np.ndarray, " c"]) -> Int[np.ndarray, " c"]:
-        """8 · object + octant of each cell."""
+        """Return 8 · object + octant of each cell."""
         owner = np.searchsorted(self.first, keys, side="right") - 1
         octants: np.ndarray = 8 * owner + (keys - self.first[owner]) // self._keys_of_octant[owner]
         return octants

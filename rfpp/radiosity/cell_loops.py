@@ -1,4 +1,4 @@
-"""Cells that rays end in, and what the glossy lobe of the surface there sends back along them; see `ray_ends`."""
+"""Compiled loops that follow rays to the cells in which they end; see `ray_ends`."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from rfpp.radiosity.cell_table import NOWHERE, CellTable, cell_at
 from rfpp.raycast.compiled import compiled, int64
 from rfpp.raycast.counted_random import Key, key_of, uniform
 from rfpp.raycast.ggx import lobe_and_pdf
-from rfpp.raycast.light_loops import along_lobe, direct_at, rays_to_all
+from rfpp.raycast.light_loops import direct_at, draw_lobe, rays_to_all
 from rfpp.raycast.lit_scene import (
     LitScene,
     alpha_of,
     blurred,
     density_of_lobes,
-    met,
+    intersect,
     scattering,
     slope_of,
-    surface_there,
+    surface_at,
 )
 from rfpp.raycast.surface import Points
 from rfpp.raycast.traces import Trace
@@ -42,20 +42,19 @@ from rfpp.raycast.vectors import (
 
 #: Pixels along each side of a tile.
 _TILE = 4
-#: Numbers under a key: of the ray thrown on, of whether it is, of the light there.
+#: Random numbers of a key: for the continuation, for its absorption, for the light there.
 _WAY_U, _WAY_V, _SENT, _LIGHT = 0, 1, 2, 3
 
 
 class End(NamedTuple):
-    """What a ray meets.
+    """End of a ray.
 
     Attributes:
-        triangle: -1 for none.
-        cell: NOWHERE for none.
-        onward: the cell in which the ray ends that the glossy lobe there throws on; NOWHERE for none, and in the share
-            in which the lobe, for all that its albedo does not say, sends no light on.
-        light: radiance of the emitters that comes back along the ray, by the lobes that were asked for.
-        by_diffuse, by_specular: its derivatives by the albedos there.
+        triangle: Triangle hit; -1 if none.
+        cell: Cell hit; NOWHERE if none.
+        onward: Cell in which the ray's glossy continuation ends; NOWHERE if it escapes or is absorbed.
+        light: Radiance towards the ray's origin, as the emitters light the surface there.
+        by_diffuse, by_specular: Derivatives of the light by the albedos there.
     """
 
     triangle: int
@@ -71,29 +70,29 @@ def followed(
     scene: LitScene,
     table: CellTable,
     origin: Vector,
-    way: Vector,
+    direction: Vector,
     density: float,
     key: Key,
     wants_diffuse: bool,
     wants_glossy: bool,
     turn: int,
 ) -> End:
-    """What a ray meets.
+    """Follow a ray to its end.
 
     Args:
-        density: per solid angle, with which the surface that the ray leaves sends rays this way.
-        wants_diffuse, wants_glossy: of which lobes the emitters' light is wanted.
-        turn: number of the ray among those that gather together: they take turns where lights are many.
+        density: Density per solid angle with which the ray was drawn.
+        wants_diffuse, wants_glossy: Compute the light of this lobe.
+        turn: Number of the ray among those that gather together; with many lights each samples some of them.
     """
-    triangle, a, b, distance, there = met(scene, origin, way)
+    triangle, a, b, distance, there = intersect(scene, origin, direction)
     if triangle < 0:
         return End(triangle, NOWHERE, NOWHERE, BLACK, BLACK, BLACK)
-    cell = _cell_met(scene, table, triangle, way, there)
+    cell = _cell_met(scene, table, triangle, direction, there)
     # a ray that starts on another surface, where two touch, ends where it starts: it is not seen from anywhere
     if distance <= 0:
         return End(triangle, cell, NOWHERE, BLACK, BLACK, BLACK)
     diffuse, specular = triple(scene.material[triangle]), triple(scene.material[triangle, 3:6])
-    point, normal, back = surface_there(scene, triangle, a, b, way, there)
+    point, normal, back = surface_at(scene, triangle, a, b, direction, there)
     cosine = dot(normal, back)
     shines = max(specular[0], specular[1], specular[2]) > 0 and cosine > 0
     alpha = blurred(alpha_of(scene, triangle), density) if shines else -1.0
@@ -110,14 +109,14 @@ def followed(
     slope = slope_of(scene, glossy, cosine, alpha, specular)
     first, second = tangents(normal)
     view = in_frame(back, first, second, normal)
-    sent, way = thrown(
+    sent, direction = thrown(
         scene, view, alpha, specular, uniform(key, _WAY_U), uniform(key, _WAY_V), uniform(key, _SENT), first, second,
         normal,
     )  # fmt: skip
     onward = NOWHERE
     if sent:
-        other, _, _, _, there = met(scene, point, way)
-        onward = _cell_met(scene, table, other, way, there) if other >= 0 else NOWHERE
+        other, _, _, _, there = intersect(scene, point, direction)
+        onward = _cell_met(scene, table, other, direction, there) if other >= 0 else NOWHERE
     return End(triangle, cell, onward, light, dull, slope)
 
 
@@ -134,19 +133,19 @@ def thrown(
     second: Vector,
     normal: Vector,
 ) -> tuple[bool, Triple]:
-    """Whether the glossy lobe throws a ray, and its direction.
+    """Draw a continuation from the glossy lobe; return whether there is one, and its direction.
 
-    The lobe absorbs a ray in the share in which it does not send its light on, beside what its albedo says.
+    The lobe absorbs rays in proportion to the energy that it loses beyond its albedo.
 
     Args:
-        view: in the frame of the two tangents and the normal.
+        view: Direction to the eye in the frame of tangents and normal.
     """
-    toward, way = along_lobe(view, alpha, u, v, first, second, normal)
+    toward, direction = draw_lobe(view, alpha, u, v, first, second, normal)
     reflected, by_lobe = lobe_and_pdf(view, toward, alpha)
     scale = 0.0
     for c in range(3):
         scale += scattering(scene, view[2], alpha, specular[c]) / 3
-    return scale * reflected / max(by_lobe, 1e-30) > threshold, way
+    return scale * reflected / max(by_lobe, 1e-30) > threshold, direction
 
 
 @compiled
@@ -156,7 +155,7 @@ def follow_each(
     scene: LitScene,
     table: CellTable,
     origins: Float[np.ndarray, "r 3"],
-    ways: Float[np.ndarray, "r 3"],
+    directions: Float[np.ndarray, "r 3"],
     density: Float[np.ndarray, " r"],
     key: Key,
     cell: Int[np.ndarray, " r"],
@@ -168,8 +167,8 @@ def follow_each(
 ) -> None:
     """Follow rays one by one; see `followed`."""
     for row in range(start, stop):
-        of_ray, origin, way = key_of(key, row), triple(origins[row]), triple(ways[row])
-        end = followed(scene, table, origin, way, density[row], of_ray, True, True, row)
+        of_ray, origin, direction = key_of(key, row), triple(origins[row]), triple(directions[row])
+        end = followed(scene, table, origin, direction, density[row], of_ray, True, True, row)
         triangle[row], cell[row], onward[row] = end.triangle, end.cell, end.onward
         for c in range(3):
             light[row, c], by_diffuse[row, c], by_specular[row, c] = end.light[c], end.by_diffuse[c], end.by_specular[c]
@@ -192,20 +191,19 @@ def cells_seen(
     light: Float[np.ndarray, "pixels 3"],
     trace: Trace,
 ) -> None:
-    """The cells that pixels see; see `SeenCells`, whose arrays these fill in.
+    """Fill in the arrays of `SeenCells`.
 
     Args:
-        points: `rfpp.raycast.surface.Points`.
-        point_of: [pixels, points of each] rows of the points, -1 for none.
-        width: of the image in pixels.
-        light: [pixels, 3] of the emitters, that surfaces send to the diffuse rays.
-        trace: of `light`, to fill in (`rfpp.raycast.traces.Trace`).
+        point_of: Rows of each pixel's points, -1 for none.
+        width: Width of the image in pixels.
+        light: `SeenCells.bounced`.
+        trace: Derivatives of `light`.
     """
     rays, traced = diffuse.shape[1], trace.triangle.shape[1] > 0
     for pixel in range(start, stop):
         own_key = key_of(key, pixel)
         y, x = pixel // width, pixel % width
-        # what a pixel's few rays miss, its neighbors' find: those of a tile's pixels together are one lattice
+        # the rays of a tile's pixels form one lattice: neighbors complement each other
         of_tile = key_of(key_of(key, -1), y // _TILE * width + x // _TILE)
         place = y % _TILE * _TILE + x % _TILE
         turn = uniform(own_key, -1)
@@ -221,10 +219,12 @@ def cells_seen(
             # as dense as diffuse light arrives: points of a disc, lifted (Malley 1988)
             radius, angle = np.sqrt(u), 2 * np.pi * v
             toward = (radius * np.cos(angle), radius * np.sin(angle), np.sqrt(1 - u))
-            way = in_world(toward, first, second, normal)
+            direction = in_world(toward, first, second, normal)
             # the density of the diffuse lobe alone: where the glossy lobe is dense, too, diffuse rays are as few as
             # anywhere, and one that met a highlight in a mirror, not blurred, would light a window of pixels
-            end = followed(scene, table, point, way, toward[2] / np.pi, key_of(own_key, 2 * s), True, True, place + s)
+            end = followed(
+                scene, table, point, direction, toward[2] / np.pi, key_of(own_key, 2 * s), True, True, place + s
+            )
             diffuse[pixel, s], diffuse_on[pixel, s] = end.cell, end.onward
             for c in range(3):
                 light[pixel, c] += end.light[c] / rays
@@ -237,19 +237,19 @@ def cells_seen(
                 continue
             # each ray of a pixel is absorbed above a threshold of its own
             threshold = (s + turn * rays) % rays / rays
-            sent, way = thrown(scene, view, alpha, specular, u, v, threshold, first, second, normal)
+            sent, direction = thrown(scene, view, alpha, specular, u, v, threshold, first, second, normal)
             if not sent:
                 continue
-            toward, albedos = in_frame(way, first, second, normal), (mean(points.diffuse[row]), mean(specular))
+            toward, albedos = in_frame(direction, first, second, normal), (mean(points.diffuse[row]), mean(specular))
             density = density_of_lobes(*albedos, toward[2], lobe_and_pdf(view, toward, alpha)[1])
             # the emitters' light that comes this way is in `reflected_light`
-            end = followed(scene, table, point, way, density, key_of(own_key, 2 * s + 1), False, False, 0)
+            end = followed(scene, table, point, direction, density, key_of(own_key, 2 * s + 1), False, False, 0)
             glossy[pixel, s], glossy_on[pixel, s] = end.cell, end.onward
 
 
 @compiled
 def _start(point_of: Int[np.ndarray, " of_pixel"], number: int) -> int:
-    """The point from which a ray of a pixel starts: they take turns, and those that are on no surface are left out."""
+    """Return the point from which a pixel's ray starts; points on surfaces take turns."""
     for k in range(len(point_of)):
         row = point_of[(number + k) % len(point_of)]
         if row >= 0:
@@ -259,13 +259,13 @@ def _start(point_of: Int[np.ndarray, " of_pixel"], number: int) -> int:
 
 @compiled
 def _of_lattice(number: int, count: int, key: Key) -> tuple[float, float]:
-    """A point of the unit square: one of so many that are spread evenly, displaced."""
+    """Return a point of an even, displaced lattice in the unit square."""
     u, v = (number + 0.5) / count + uniform(key, 0), number * GOLDEN + uniform(key, 1)
     return u % 1, v % 1
 
 
 @compiled
-def _cell_met(scene: LitScene, table: CellTable, triangle: int, way: Vector, point: Vector) -> int:
+def _cell_met(scene: LitScene, table: CellTable, triangle: int, direction: Vector, point: Vector) -> int:
     a, b, c = scene.positions[triangle]
-    back = dot(normal_of(triple(a), triple(b), triple(c)), way) > 0
+    back = dot(normal_of(triple(a), triple(b), triple(c)), direction) > 0
     return cell_at(table, triangle, point, back)

@@ -72,10 +72,10 @@ def find_places(triangles: SceneTriangles, caster: RayCaster) -> CellPlaces:
     everywhere = CellMap(grid, keys, entry, splits)
     order = np.argsort(cell, kind="stable")
     even, cell = even.part(order), cell[order]
-    hits, met = _where_light_goes(triangles, caster, everywhere, even, cell, rng)
+    hits, hit = _where_light_goes(triangles, caster, everywhere, even, cell, rng)
     kept = _reached(hits, owner_of_cell)
     renumbered = np.append(np.where(kept, np.cumsum(kept) - 1, NOWHERE), NOWHERE)
-    seen, of_cell = _seen_points(even, cell, met, hits[hits != NOWHERE], renumbered, rng)
+    seen, of_cell = _seen_points(even, cell, hit, hits[hits != NOWHERE], renumbered, rng)
     normal = seen.normal(triangles)
     return CellPlaces(
         map=CellMap(grid, keys, np.where(entry >= 0, renumbered[entry], entry), splits.renumbered(renumbered)),
@@ -102,11 +102,11 @@ class SidePoints:
 
     def normal(self, triangles: SceneTriangles) -> Float[np.ndarray, "r 3"]:
         """Return the unit normals on the points' side of their triangles."""
-        met = np.flatnonzero(np.bincount(self.triangle))  # many points lie on few triangles
-        a, b, c = np.moveaxis(triangles.positions[met].astype(np.float64), 1, 0)
+        hit = np.flatnonzero(np.bincount(self.triangle))  # many points lie on few triangles
+        a, b, c = np.moveaxis(triangles.positions[hit].astype(np.float64), 1, 0)
         cross = np.cross(b - a, c - a)
         unit = np.zeros((len(triangles), 3))
-        unit[met] = cross / np.linalg.norm(cross, axis=-1, keepdims=True)
+        unit[hit] = cross / np.linalg.norm(cross, axis=-1, keepdims=True)
         facing: np.ndarray = unit[self.triangle] * np.where(self.back, -1.0, 1.0)[:, None]
         return facing
 
@@ -163,8 +163,7 @@ def _leave(
     direction: Float[np.ndarray, "n 3"],
     cosine: Float[np.ndarray, " n"],
 ) -> None:
-    """Fills in `Rays`: points of a lattice, displaced cell by cell (Cranley and Patterson 1976), on a disc, lifted
-    (Malley 1988)."""
+    """Fill in `Rays`: points of a lattice displaced for each cell (Cranley and Patterson 1976), by Malley's method."""
     for row in range(start, stop):
         cell, nth = row // RAYS, row % RAYS
         point = first[cell] + nth % count[cell]
@@ -191,13 +190,16 @@ def _where_light_goes(
     rays = _rays(points.position, points.normal(triangles), cell, rng)
     origin, direction = rays.origin, rays.direction
     hits = caster.cast(origin, direction)
-    met = np.flatnonzero(hits.triangle >= 0)
-    triangle, position = hits.triangle[met], origin[met] + hits.distance[met, None] * direction[met]
+    hit = np.flatnonzero(hits.triangle >= 0)
+    triangle, position = (
+        hits.triangle[hit],
+        origin[hit] + hits.distance[hit, None] * direction[hit],
+    )
     front = SidePoints(triangle, position, np.zeros(len(triangle), bool)).normal(triangles)
-    ends = SidePoints(triangle, position, (front * direction[met]).sum(-1) > 0)
+    ends = SidePoints(triangle, position, (front * direction[hit]).sum(-1) > 0)
     found = np.full(len(origin), NOWHERE)
-    found[met] = cells.at(ends.triangle, ends.position, ends.back)
-    return found.reshape(-1, RAYS), ends.part(found[met] != NOWHERE)
+    found[hit] = cells.at(ends.triangle, ends.position, ends.back)
+    return found.reshape(-1, RAYS), ends.part(found[hit] != NOWHERE)
 
 
 def _seen_points(

@@ -35,7 +35,7 @@ class CellSplits:
     child: Int[np.ndarray, "s 2"]
 
     def renumbered(self, numbers: Int[np.ndarray, " c_plus_1"]) -> CellSplits:
-        """Return the same planes with other numbers of cells; the last number is that of NOWHERE."""
+        """Return the same planes with new numbers of cells; the last number is that of NOWHERE."""
         return CellSplits(self.plane, np.where(self.child >= NOWHERE, numbers[self.child], self.child))
 
 
@@ -44,7 +44,7 @@ NO_SPLITS = CellSplits(np.zeros((0, 4)), np.zeros((0, 2), np.int64))
 
 
 def as_split(number: int | np.ndarray) -> int | np.ndarray:
-    """Encode a split among the numbers of cells."""
+    """Encode a split as a number of a cell."""
     return NOWHERE - 1 - number
 
 
@@ -61,7 +61,7 @@ def split_cells(
         position: Points of the cells, at least one of each.
 
     Returns:
-        What stands for each cell now: itself, or a split; the splits; and the cell of each point.
+        The number that replaces each cell (itself, or a split), the splits, and the cell of each point.
     """
     count, cell = int(cell.max()) + 1, cell.copy()
     entry = np.arange(count)
@@ -100,7 +100,7 @@ def _dividers(
     cell: Int[np.ndarray, " r"],
     tested: Int[np.ndarray, " t"],
 ) -> list[tuple[int, Float[np.ndarray, " 4"], Bool[np.ndarray, " p"]]]:
-    """Return (cell, plane, which of its points lie in front) of the cells among those tested that a wall divides."""
+    """Return (cell, plane, mask of points in front) for each tested cell that a wall divides."""
     order = np.argsort(cell, kind="stable")
     first = np.searchsorted(cell[order], tested)
     size = np.searchsorted(cell[order], tested, side="right") - first
@@ -111,8 +111,8 @@ def _dividers(
     raised = position[chosen] + _HEIGHT * normal[chosen]
     start, end = raised[:, _PAIRS[:, 0]], raised[:, _PAIRS[:, 1]]
     apart = np.linalg.norm(end - start, axis=-1)
-    way = (end - start) / np.maximum(apart, 1e-9)[..., None]
-    hit = caster.cast(start.reshape(-1, 3), way.reshape(-1, 3))
+    direction = (end - start) / np.maximum(apart, 1e-9)[..., None]
+    hit = caster.cast(start.reshape(-1, 3), direction.reshape(-1, 3))
     triangle = hit.triangle.reshape(apart.shape)
     corners = triangles.positions[triangle.clip(0)].astype(np.float64)
     across = np.cross(corners[..., 1, :] - corners[..., 0, :], corners[..., 2, :] - corners[..., 0, :])

@@ -1,4 +1,4 @@
-"""Which cell a point of a triangle belongs to: keys of places, and the table of what cell is at each."""
+"""Table from points of triangles to cells, for compiled loops."""
 
 from __future__ import annotations
 
@@ -10,26 +10,26 @@ from jaxtyping import Bool, Float, Int
 from rfpp.raycast.compiled import compiled, int64
 from rfpp.raycast.vectors import Vector, dot, triple
 
-#: What a ray's end is called that meets no cell.
+#: Cell of a ray that hits none.
 NOWHERE = -1
-#: Half an object is cut into so many pieces along an axis at most.
+#: Largest number of boxes along an axis of half an object.
 MOST_PIECES = 10
-#: An object that reaches less far along an axis than this share of its greatest reach is flat.
+#: An object is flat along an axis if it reaches less than this share of its greatest reach.
 FLAT = 1e-4
 #: Directions of a triangle in its object's axes: forwards or backwards along one of three; and its two sides.
 DIRECTIONS, SIDES = 6, 2
 
 
 class CellTable(NamedTuple):
-    """What loops read of a `CellMap`.
+    """Arrays of a `CellMap`.
 
     Attributes:
-        owner, direction: [M] object of each triangle, and which way it faces in the object's axes.
-        centroid, axes, half, pieces: see `CellGrid`.
-        first: [O] key of each object.
-        cell: of every key there can be: where none of our points lay, any of the same octant and side; NOWHERE where
-            there is none, or no light can reach it; below that a split (`rfpp.radiosity.cell_splits`).
-        plane, child: see `CellSplits`.
+        owner, direction: Object of each triangle, and the direction it faces in the object's axes.
+        centroid, axes, half, pieces: See `CellGrid`.
+        first: First key of each object.
+        cell: Cell of every possible key; for boxes without sample points, a cell of the same octant and side. NOWHERE
+            if there is none or no light reaches it; below that a split (`rfpp.radiosity.cell_splits`).
+        plane, child: See `CellSplits`.
     """
 
     owner: Int[np.ndarray, " m"]
@@ -72,7 +72,7 @@ def cells_each(
 
 @compiled
 def key_at(table: CellTable, triangle: int, point: Vector, back: bool) -> int:
-    """A number for the cell of a point on the front or the back of a triangle; the same for the same cell."""
+    """Return the key of a point on the front or the back of a triangle; equal for points of one cell."""
     owner = table.owner[triangle]
     half, pieces, center = table.half[owner], table.pieces[owner], table.centroid[owner]
     flat = FLAT * max(half[0], half[1], half[2])
@@ -80,11 +80,11 @@ def key_at(table: CellTable, triangle: int, point: Vector, back: bool) -> int:
     octant, box = 0, 0
     for k in range(3):
         place = pieces[k]
-        if half[k] >= flat:  # else rounding alone would say on which side a point lies
+        if half[k] >= flat:  # else rounding alone would decide on which side a point lies
             place += int64(np.floor(dot(table.axes[owner, k], away) / max(half[k], 1e-9) * pieces[k]))
         place = min(max(place, 0), 2 * pieces[k] - 1)
         beyond = place >= pieces[k]
-        octant |= beyond << k  # octant first: it is what a token of HOCT stands for
+        octant |= beyond << k  # octant first, as tokens of HOCT
         box = box * pieces[k] + place - (pieces[k] if beyond else 0)
     of_box = octant * pieces[0] * pieces[1] * pieces[2] + box
     key: int = table.first[owner] + (of_box * DIRECTIONS + table.direction[triangle]) * SIDES + back
@@ -101,6 +101,6 @@ def keys_each(
     back: Bool[np.ndarray, " r"],
     keys: Int[np.ndarray, " r"],
 ) -> None:
-    """Keys of points."""
+    """Fill in the keys of points; see `key_at`."""
     for row in range(start, stop):
         keys[row] = key_at(table, triangle[row], triple(points[row]), back[row])

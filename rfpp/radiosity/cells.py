@@ -68,5 +68,5 @@ class CellMap:
 
     @cached_property
     def table(self) -> CellTable:
-        """Arrays for compiled loops."""
+        """Return arrays for compiled loops."""
         return self.grid.table(self.keys, self.cell, self.splits)

@@ -1,4 +1,4 @@
-"""Joint bilateral filter of gathered light: single rays of a pixel are noise, a window of pixels has enough of them."""
+"""Joint bilateral filter of gathered light."""
 
 from __future__ import annotations
 

@@ -56,7 +56,7 @@ class Radiosity(nn.Module):
     def render(self, lit: LitCells, view: View) -> Float[Tensor, "3 h w"]:
         """Return the linear radiance of a view, unrefined."""
         roughness, reflected = view.samples("roughness"), view.samples("reflected_light")
-        # few rays of a broad lobe are grain, so neighbors share them; a mirror's image has to stay sharp
+        # few rays of a broad lobe are noisy, so neighbors share them; a mirror's image stays sharp
         shared = means((roughness * reflected)[None], view.points)
         gathered = repeated(self._gathered(lit, view, shared), view.points)[0]
         diffuse = view.samples("direct_diffuse") + gathered[:3]
@@ -88,7 +88,7 @@ class Radiosity(nn.Module):
 
 @torch.no_grad()
 def _bounces_of(cells: CellTensors) -> int:
-    """Return the number of bounces after which even light is down to a thousandth of what it has added up to."""
+    """Return the number of bounces after which a bounce adds less than a thousandth of the light so far."""
     left = torch.ones_like(cells.diffuse)
     total, albedo = left.sum(), cells.diffuse + cells.specular
     for bounces in range(_MOST_BOUNCES):

@@ -14,7 +14,7 @@ from rfpp.imaging.radiance import log_encode
 
 #: Logit of a pixel's own place in the kernel before training: it keeps 7/8 of itself.
 _OWN = 4.0
-#: Limit of a neighbor's radiance in the mean: the pixel's own times the first, plus the image's mean times the second.
+#: Limit of neighbors: the pixel's own radiance times the first, plus the image's mean times the second.
 _BRIGHTER = 2.0, 4.0
 
 

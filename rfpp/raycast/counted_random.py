@@ -1,4 +1,4 @@
-"""Random numbers by number: each is a function of a key and a count, whatever the order in which loops want them."""
+"""Counter-based random numbers: functions of a key and a number, independent of the order of use."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 
 from rfpp.raycast.compiled import compiled, float64
 
-#: From what a stream of numbers is made.
+#: Seed of a stream of numbers.
 Key = int | np.uint64
 #: Odd constants of SplitMix64 (Steele et al., "Fast Splittable Pseudorandom Number Generators", 2014).
 _STEP, _FIRST, _SECOND = 0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB
@@ -14,7 +14,7 @@ _STEP, _FIRST, _SECOND = 0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB13311
 
 @compiled
 def key_of(key: Key, number: int) -> np.uint64:
-    """Another key, for what has this number under a key."""
+    """Derive a key from a key and a number."""
     z = np.uint64(key) + np.uint64(number) * np.uint64(_STEP) + np.uint64(_STEP)
     z = (z ^ (z >> np.uint64(30))) * np.uint64(_FIRST)
     z = (z ^ (z >> np.uint64(27))) * np.uint64(_SECOND)
@@ -23,11 +23,11 @@ def key_of(key: Key, number: int) -> np.uint64:
 
 @compiled
 def uniform(key: Key, number: int) -> float:
-    """A number in [0, 1)."""
+    """Return a number in [0, 1)."""
     return float64(key_of(key, number) >> np.uint64(11)) * (1.0 / 9007199254740992.0)
 
 
 @compiled
 def spread(count: int, shift_u: float, shift_v: float) -> tuple[float, float]:
-    """A point of the unit square; any first few of them are spread evenly (Roberts 2018), displaced by the shift."""
+    """Return a point of an even sequence in the unit square (Roberts 2018), displaced by the shift."""
     return (0.5 + count * 0.7548776662466927 + shift_u) % 1, (0.5 + count * 0.5698402909980532 + shift_v) % 1

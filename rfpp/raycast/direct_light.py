@@ -1,4 +1,4 @@
-"""Direct light at any points of a scene, and the radiance that pixels send on of theirs; see `known_light`."""
+"""Direct light at points of a scene, and the outgoing radiance of pixels; see `known_light`."""
 
 from __future__ import annotations
 
@@ -14,15 +14,16 @@ from rfpp.scene.triangles import DIFFUSE, SPECULAR
 
 
 def direct_radiance(gbuffer: GBuffer, material: Float[np.ndarray, "m 10"]) -> Float[np.ndarray, "h w 3"]:
-    """Outgoing radiance of the direct light in a G-buffer that holds it: diffuse plus glossy.
+    """Return the outgoing radiance, diffuse plus glossy, of a G-buffer's direct light.
 
     Args:
-        material: [M, 10] of the same triangles (`SceneTriangles.material`).
+        material: Materials of the scene's triangles (`SceneTriangles.material`).
 
-    Raises ValueError if the G-buffer holds no direct light.
+    Raises:
+        ValueError: If the G-buffer holds no direct light.
     """
     if gbuffer.light is None:
-        raise ValueError("a G-buffer without direct light has none to send on: see with_known_light")
+        raise ValueError("a G-buffer without direct light has no outgoing radiance: see with_known_light")
     seen: np.ndarray = material[gbuffer.triangle] * gbuffer.hit[..., None]
     radiance: np.ndarray = gbuffer.light.diffuse * seen[..., DIFFUSE] + gbuffer.light.glossy * seen[..., SPECULAR]
     return radiance
@@ -31,11 +32,11 @@ def direct_radiance(gbuffer: GBuffer, material: Float[np.ndarray, "m 10"]) -> Fl
 def gathered(
     sampler: LightSampler, surface: Surface, samples: int, rng: np.random.Generator
 ) -> Float[np.ndarray, "2 r 3"]:
-    """Diffuse and glossy light at every point, in the units of `DirectLight`.
+    """Return diffuse and glossy light at every point, in the units of `DirectLight`.
 
     Args:
-        samples: shadow rays of each point to each light.
-        rng: of the samples' displacement from point to point.
+        samples: Shadow rays from each point to each light.
+        rng: Generator of the samples' displacement from point to point.
     """
     light = np.zeros((2, len(surface), 3))
     of_each = surface.points(np.ones((len(surface), 1), np.bool_))

@@ -1,7 +1,7 @@
-"""Embree's C interface, for compiled loops: rays are cast one by one from within them.
+"""Embree's C interface for compiled loops, which cast rays one by one.
 
-Embree itself comes with the package embreex, whose own interface takes arrays of rays. Rays that are made, cast and
-shaded in one loop never pass through memory, which takes half as long.
+The package embreex contains Embree; its own interface takes arrays of rays. Loops that draw, cast and shade single rays
+take half the time, because rays never pass through memory.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from rfpp.errors import MissingDependencyError
 from rfpp.raycast.compiled import compiled, float64, int64
 from rfpp.raycast.vectors import Vector
 
-#: Of `RTCGeometryType`, `RTCBufferType`, `RTCFormat` and `RTCSceneFlags` (embree4/rtcore_*.h).
+#: Constants of `RTCGeometryType`, `RTCBufferType`, `RTCFormat` and `RTCSceneFlags` (embree4/rtcore_*.h).
 _TRIANGLES, _INDEX, _VERTEX, _UINT3, _FLOAT3, _ROBUST = 0, 0, 1, 0x5003, 0x9003, 1 << 2
 
 _POINTER, _INT, _UINT, _SIZE = ctypes.c_void_p, ctypes.c_int, ctypes.c_uint, ctypes.c_size_t
@@ -45,9 +45,10 @@ _FUNCTIONS = {  # name → result, arguments
 
 @cache
 def embree() -> ctypes.CDLL:
-    """The library, loaded when it is first needed: what casts no rays runs without it.
+    """Return the library, loading it at the first call.
 
-    Raises MissingDependencyError if it is not installed.
+    Raises:
+        MissingDependencyError: If it is not installed.
     """
     try:
         import embreex  # noqa: F401  (on Windows it says where its libraries are)
@@ -64,7 +65,7 @@ def embree() -> ctypes.CDLL:
     return library
 
 
-# Numba's stubs know what declares a function, not that compiled code calls it.
+# Numba's stubs do not declare that compiled code can call these.
 _pointer_to = cast(Callable[[object], Any], types.CPointer)
 _RAY = _pointer_to(types.float32)
 _Query = Callable[[int, np.ndarray, int], None]
@@ -73,13 +74,13 @@ _occluded = cast(_Query, types.ExternalFunction("rtcOccluded1", types.void(types
 
 
 class Structure:
-    """An acceleration structure over M > 0 triangles.
+    """Acceleration structure over M > 0 triangles.
 
     Args:
-        corners: [M, 3, 3]; copied, since Embree reads them as long as this lives.
+        corners: Corners [M, 3, 3]; copied, because Embree reads them during the structure's lifetime.
 
     Attributes:
-        address: of the scene, for `closest` and `blocked`; valid as long as this lives.
+        address: Address of Embree's scene, for `closest` and `blocked`; valid during the structure's lifetime.
     """
 
     def __init__(self, corners: np.ndarray) -> None:
@@ -112,7 +113,7 @@ _RAY_NUMBERS = 32
 
 
 def _on_stack(typing: Any) -> tuple[Any, Callable[..., Any]]:
-    """Memory of a ray, in the frame of the function that calls: no other thread sees it, and nobody has to free it."""
+    """Allocate a ray on the caller's stack: private to the thread, freed on return."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         memory = cast(Any, cgutils).alloca_once(builder, ir.ArrayType(ir.FloatType(), _RAY_NUMBERS))
@@ -123,7 +124,7 @@ def _on_stack(typing: Any) -> tuple[Any, Callable[..., Any]]:
 
 
 def _as_integers(typing: Any, ray: Any) -> tuple[Any, Callable[..., Any]]:
-    """The same memory as integers of 32 bits."""
+    """Return the same memory as 32-bit integers."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         return builder.bitcast(arguments[0], ir.IntType(32).as_pointer())
@@ -131,22 +132,22 @@ def _as_integers(typing: Any, ray: Any) -> tuple[Any, Callable[..., Any]]:
     return _pointer_to(types.int32)(_RAY), generate
 
 
-#: What compiled code calls: a ray, and its numbers as integers.
+#: For compiled code: a new ray, and its memory as integers.
 _new_ray = cast(Callable[[], np.ndarray], intrinsic(_on_stack))
 _integers = cast(Callable[[np.ndarray], np.ndarray], intrinsic(_as_integers))
 
 
 @compiled
-def closest(address: int, origin: Vector, way: Vector) -> tuple[int, float, float, float]:
-    """The nearest triangle in front of a ray, -1 for none; its corners' weights 1 and 2; the distance.
+def closest(address: int, origin: Vector, direction: Vector) -> tuple[int, float, float, float]:
+    """Return the closest triangle hit by a ray (-1 for none), the weights of its corners 1 and 2, and the distance.
 
     Args:
-        address: of a `Structure`; 0 where there is none.
+        address: Address of a `Structure`; 0 if there is none.
     """
     if address == 0:
         return -1, 0.0, 0.0, np.inf
     ray = _new_ray()
-    _set(ray, origin, way, np.inf)
+    _set(ray, origin, direction, np.inf)
     numbers = _integers(ray)
     numbers[17], numbers[18], numbers[19] = -1, -1, -1
     _intersect(address, ray, 0)
@@ -156,20 +157,20 @@ def closest(address: int, origin: Vector, way: Vector) -> tuple[int, float, floa
 
 
 @compiled
-def blocked(address: int, origin: Vector, way: Vector, reach: float) -> bool:
-    """Whether anything lies on a ray nearer than `reach`."""
+def blocked(address: int, origin: Vector, direction: Vector, reach: float) -> bool:
+    """Return whether a ray hits anything closer than `reach`."""
     if address == 0:
         return False
     ray = _new_ray()
-    _set(ray, origin, way, reach)
+    _set(ray, origin, direction, reach)
     _occluded(address, ray, 0)
     found: bool = ray[8] < 0
     return found
 
 
 @compiled
-def _set(ray: np.ndarray, origin: Vector, way: Vector, reach: float) -> None:
+def _set(ray: np.ndarray, origin: Vector, direction: Vector, reach: float) -> None:
     numbers = _integers(ray)
     ray[0], ray[1], ray[2], ray[3] = origin[0], origin[1], origin[2], 0.0
-    ray[4], ray[5], ray[6], ray[7] = way[0], way[1], way[2], 0.0
+    ray[4], ray[5], ray[6], ray[7] = direction[0], direction[1], direction[2], 0.0
     ray[8], numbers[9], numbers[10], numbers[11] = reach, -1, 0, 0

@@ -1,4 +1,4 @@
-"""Scene + camera → what each pixel's center sees first. The same code makes training data and feeds the renderer."""
+"""First hits of camera rays: G-buffers for training data and for the renderer."""
 
 from __future__ import annotations
 
@@ -61,16 +61,16 @@ class Reflection:
 
 @dataclass(frozen=True, eq=False)
 class GBuffer:
-    """What one camera sees first through each pixel's center. Lights are invisible to the camera.
+    """First hit of the ray through each pixel's center. Lights are invisible to the camera.
 
     Attributes:
-        triangle: [H, W] int32 index into the scene's triangles, -1 where nothing is hit.
-        normal: [H, W, 3] float32 unit shading normal in camera space, on the camera's side of the surface;
-            zeros where nothing is hit.
-        depth: [H, W] float32 distance along the camera's -Z axis (not along the ray); 0 where nothing is hit.
-        light: what reaches the hits straight from the lights, if it was asked for (`rfpp.raycast.known_light`).
-        reflection: what shiny surfaces show, if it was asked for (`rfpp.raycast.known_light`).
-        points: along each side of a pixel (`rfpp.scene.camera.pixel_plane`).
+        triangle: int32 index into the scene's triangles, -1 where nothing is hit.
+        normal: float32 unit shading normal in camera space, on the camera's side of the surface; zeros where nothing
+            is hit.
+        depth: float32 distance along the camera's -Z axis (not along the ray); 0 where nothing is hit.
+        light: Direct light at the hits, if requested (`rfpp.raycast.known_light`).
+        reflection: Reflections in glossy surfaces, if requested.
+        points: Points along each side of a pixel (`rfpp.scene.camera.pixel_plane`).
     """
 
     triangle: Int[np.ndarray, "h w"]
@@ -82,12 +82,12 @@ class GBuffer:
 
     @property
     def hit(self) -> np.ndarray:
-        """[H, W] bool: a surface is seen."""
+        """True where a surface is hit."""
         return self.triangle >= 0
 
 
 def camera_caster(triangles: SceneTriangles) -> RayCaster:
-    """A caster over what cameras can see, for `first_hit` with several cameras of one scene."""
+    """Return a ray caster over the surfaces visible to cameras, for `first_hit` with several cameras of one scene."""
     return RayCaster(triangles.positions[~triangles.is_emissive])
 
 
@@ -100,19 +100,19 @@ def first_hit(
     caster: RayCaster | None = None,
     points: int = 1,
 ) -> GBuffer:
-    """The G-buffer of one camera.
+    """Cast the G-buffer of one camera.
 
     Args:
-        triangles: in world space.
-        c2w: camera to world, Blender axes.
-        fov: full angle in degrees along the longer image side.
-        caster: `camera_caster(triangles)`, if there is one already.
-        height, width, points: see `rfpp.scene.camera.pixel_plane`.
+        triangles: Triangles in world space.
+        c2w: Camera to world, Blender axes.
+        fov: Full angle in degrees along the longer image side.
+        height, width, points: See `rfpp.scene.camera.pixel_plane`.
+        caster: Result of `camera_caster(triangles)`; None builds it.
     """
     caster = caster or camera_caster(triangles)
     visible = np.flatnonzero(~triangles.is_emissive).astype(np.int32)
     if len(caster) != len(visible):
-        raise ValueError("the caster belongs to other triangles: make it with camera_caster(triangles)")
+        raise ValueError("the caster belongs to other triangles: create it with camera_caster(triangles)")
     count = height * width
     found = np.empty(count, np.int32), np.empty((count, 3), np.float32), np.empty(count, np.float32)
     plane = pixel_plane(height, width, points).reshape(-1, 2)
@@ -142,7 +142,7 @@ def _cast(
     normal: Float[np.ndarray, "pixels 3"],
     depth: Float[np.ndarray, " pixels"],
 ) -> None:
-    """Fills in what pixels see; arguments and results as `GBuffer` and `first_hit` have them."""
+    """Fill in the arrays of `GBuffer`."""
     right, up, back = (
         (pose[0, 0], pose[1, 0], pose[2, 0]),
         (pose[0, 1], pose[1, 1], pose[2, 1]),
@@ -151,8 +151,8 @@ def _cast(
     eye = (pose[0, 3], pose[1, 3], pose[2, 3])
     for row in range(start, stop):
         toward = unit(slope * plane[row, 0], slope * plane[row, 1], -1.0)
-        way = in_world(toward, right, up, back)
-        hit, u, v, distance = closest(address, eye, way)
+        direction = in_world(toward, right, up, back)
+        hit, u, v, distance = closest(address, eye, direction)
         triangle[row], depth[row] = -1, 0.0
         normal[row, 0], normal[row, 1], normal[row, 2] = 0.0, 0.0, 0.0
         if hit < 0:
@@ -160,7 +160,7 @@ def _cast(
         triangle[row], depth[row] = visible[hit], -toward[2] * distance
         corners, of_corners = positions[triangle[row]], normals[triangle[row]]
         across = normal_of(triple(corners[0]), triple(corners[1]), triple(corners[2]))
-        side, (a, b, c) = -1.0 if dot(across, way) > 0 else 1.0, of_corners
+        side, (a, b, c) = -1.0 if dot(across, direction) > 0 else 1.0, of_corners
         shading = added(added(scaled(a, (1 - u - v) * side), scaled(b, u * side)), scaled(c, v * side))
         facing = unit(*in_frame(shading, right, up, back))
         normal[row, 0], normal[row, 1], normal[row, 2] = facing[0], facing[1], facing[2]
@@ -169,15 +169,16 @@ def _cast(
 def stack_channels(
     gbuffer: GBuffer, material: Float[np.ndarray, "m 10"], fov: SupportsFloat, names: Sequence[str]
 ) -> Float[np.ndarray, "c h w"]:
-    """The named channels (see `CHANNELS`), stacked in the order asked for; zeros where nothing is hit.
+    """Stack the named channels (see `CHANNELS`) in this order; zeros where nothing is hit.
 
     Args:
-        material: [M, 10] of the same triangles (`SceneTriangles.material`).
-        fov: degrees, as in `first_hit`; `position` is the camera-space point that pixel and depth determine.
+        material: Materials of the scene's triangles (`SceneTriangles.material`).
+        fov: Degrees, as in `first_hit`.
+        names: Channels; `position` is the camera-space point determined by pixel and depth.
 
     Raises:
-        UserError: a name that is no channel.
-        ValueError: a channel of light from a G-buffer that has none.
+        UserError: If there is no channel of a name.
+        ValueError: If the G-buffer lacks the light of a channel.
     """
     channels = [channel(gbuffer, material, fov, name) for name in names]
     stacked = np.empty((sum(of.shape[-1] for of in channels), *gbuffer.depth.shape), np.float32)
@@ -191,7 +192,7 @@ def stack_channels(
 def channel(
     gbuffer: GBuffer, material: Float[np.ndarray, "m 10"], fov: SupportsFloat, name: str
 ) -> Float[np.ndarray, "h w c"]:
-    """One channel of `stack_channels`, channels last."""
+    """Return one channel of `stack_channels`, channels last."""
     if name in _MATERIAL_COLUMNS:
         seen: np.ndarray = np.take(material[:, _MATERIAL_COLUMNS[name]], gbuffer.triangle, axis=0)
         seen *= gbuffer.hit[..., None]
@@ -204,11 +205,11 @@ def channel(
         return camera_positions(gbuffer.depth, fov, gbuffer.points)
     if name in DIRECT_CHANNELS:
         if gbuffer.light is None:
-            raise ValueError(f"'{name}' was asked of a G-buffer without direct light: see with_known_light")
+            raise ValueError(f"'{name}' needs a G-buffer with direct light: see with_known_light")
         return gbuffer.light.diffuse if name == "direct_diffuse" else gbuffer.light.glossy
     if name == "reflected_light":
         if gbuffer.reflection is None:
-            raise ValueError(f"'{name}' was asked of a G-buffer without reflection: see with_known_light")
+            raise ValueError(f"'{name}' needs a G-buffer with reflections: see with_known_light")
         return gbuffer.reflection.light
     raise UserError(f"G-buffer channel '{name}' does not exist: choose from {', '.join(CHANNELS)}")
 
@@ -216,7 +217,7 @@ def channel(
 def camera_positions(
     depth: Float[np.ndarray, "h w"], fov: SupportsFloat, points: int = 1
 ) -> Float[np.ndarray, "h w 3"]:
-    """Camera-space points from planar depth; the origin where depth is 0."""
+    """Return camera-space points from planar depth; the origin where depth is 0."""
     height, width = depth.shape
     slope = pixel_plane(height, width, points) * np.tan(np.radians(float(fov)) / 2)
     position = np.empty((*depth.shape, 3), np.float32)
@@ -225,5 +226,5 @@ def camera_positions(
 
 
 def object_ids(gbuffer: GBuffer, triangles: SceneTriangles) -> Int[np.ndarray, "h w"]:
-    """[H, W] int32 index of the object seen, -1 where nothing is hit."""
+    """Return the int32 index of the object hit, -1 where nothing is hit."""
     return np.where(gbuffer.hit, triangles.object_index[gbuffer.triangle], -1).astype(np.int32)

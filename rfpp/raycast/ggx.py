@@ -1,7 +1,7 @@
 """The glossy lobe of our materials: GGX with height-correlated Smith shadowing and energy-preserving scaling.
 
-No Fresnel term; the specular albedo tints. As in Cycles' "Multiscatter GGX". All vectors are unit vectors in the
-frame of the shading normal, (..., 3) with z along it; α is the square of the roughness.
+No Fresnel term; the specular albedo colors the lobe, as in Cycles' "Multiscatter GGX". All vectors are unit vectors in
+the frame of the shading normal, (..., 3) with z along it; α is the square of the roughness.
 """
 
 from __future__ import annotations
@@ -25,29 +25,29 @@ Scalars = Float[np.ndarray, "*batch"]
 
 
 def lobe(view: Vectors, light: Vectors, alpha: Scalars) -> Scalars:
-    """BRDF · cosine of the light's direction, single scattering, untinted; 0 below the surface."""
+    """Return BRDF · cosine of the light's direction for single scattering, uncolored; 0 below the surface."""
     return _of_pairs(view, light, alpha)[0]
 
 
 def pdf(view: Vectors, light: Vectors, alpha: Scalars) -> Scalars:
-    """Density per solid angle with which `sample` returns `light`."""
+    """Return the density per solid angle with which `sample` draws `light`."""
     return _of_pairs(view, light, alpha)[1]
 
 
 def sample(view: Vectors, alpha: Scalars, random: Float[np.ndarray, "*batch 2"]) -> Vectors:
-    """A direction to look for light in, in proportion to the normals that are visible; may lie below the surface.
+    """Draw directions to light in proportion to visible normals; they may lie below the surface.
 
     Dupuy and Benyoub, "Sampling Visible GGX Normals with Spherical Caps", 2023.
     """
-    way = np.empty((alpha.size, 3))
-    _sample_each(_rows(view), _flat(alpha), np.ascontiguousarray(random, np.float64).reshape(-1, 2), way)
-    return way.reshape(*alpha.shape, 3)
+    direction = np.empty((alpha.size, 3))
+    _sample_each(_rows(view), _flat(alpha), np.ascontiguousarray(random, np.float64).reshape(-1, 2), direction)
+    return direction.reshape(*alpha.shape, 3)
 
 
 def multiple_scattering(
     cosine: Float[np.ndarray, " r"], alpha: Float[np.ndarray, " r"], specular: Float[np.ndarray, "r 3"]
 ) -> Float[np.ndarray, "r 3"]:
-    """What the single-scattering lobe is multiplied by to give back the energy that leaves after further bounces.
+    """Return the factor that restores the energy of multiple scattering to the single-scattering lobe.
 
     1 + F_ms (1 - E) / E with F_ms = s E_avg / (1 - s (1 - E_avg)), where s is the specular albedo, E(cosine, α) the
     lobe's albedo and E_avg its cosine-weighted mean (Turquin, "Practical Multiple Scattering Compensation for
@@ -60,7 +60,7 @@ def multiple_scattering(
 
 @compiled
 def lobe_and_pdf(view: Vector, light: Vector, alpha: float) -> tuple[float, float]:
-    """See `lobe` and `pdf`: of two vectors (three numbers each)."""
+    """Return `lobe` and `pdf` of two vectors."""
     if view[2] <= 0 or light[2] <= 0:
         return 0.0, 0.0
     x, y, z = unit(view[0] + light[0], view[1] + light[1], view[2] + light[2])
@@ -74,7 +74,7 @@ def lobe_and_pdf(view: Vector, light: Vector, alpha: float) -> tuple[float, floa
 
 @compiled
 def sampled(view: Vector, alpha: float, u: float, v: float) -> Triple:
-    """See `sample`: of one vector."""
+    """Draw one direction; see `sample`."""
     sx, sy, sz = unit(view[0] * alpha, view[1] * alpha, view[2])
     angle = 2 * np.pi * u
     z = (1 - v) * (1 + sz) - sz
@@ -109,10 +109,12 @@ def _sample_each(
     view: Float[np.ndarray, "r 3"],
     alpha: Float[np.ndarray, " r"],
     random: Float[np.ndarray, "r 2"],
-    way: Float[np.ndarray, "r 3"],
+    direction: Float[np.ndarray, "r 3"],
 ) -> None:
     for row in range(len(alpha)):
-        way[row, 0], way[row, 1], way[row, 2] = sampled(view[row], alpha[row], random[row, 0], random[row, 1])
+        direction[row, 0], direction[row, 1], direction[row, 2] = sampled(
+            view[row], alpha[row], random[row, 0], random[row, 1]
+        )
 
 
 @compiled
@@ -123,7 +125,7 @@ def scattered(
     alpha: float,
     specular: float,
 ) -> float:
-    """See `multiple_scattering`: of one surface and color, by the tables of `lobe_albedo`."""
+    """Return `multiple_scattering` of one surface and color, from the tables of `lobe_albedo`."""
     last = len(mean) - 1
     u, v = np.sqrt(alpha) * last, min(max(cosine, 0.0), 1.0) * last
     i, j = max(min(int(u), last - 1), 0), max(min(int(v), last - 1), 0)  # NaN as an index is any number
@@ -144,7 +146,7 @@ def scattering_growth(
     alpha: float,
     specular: float,
 ) -> float:
-    """How fast the logarithm of `scattered` grows with the specular albedo; 0 where that is 0."""
+    """Return the derivative of log `scattered` by the specular albedo; 0 where that is 0."""
     if specular <= 0:
         return 0.0
     factor, last = scattered(albedo, mean, cosine, alpha, specular), len(mean) - 1
@@ -184,7 +186,7 @@ def _flat(numbers: np.ndarray) -> Float[np.ndarray, " n"]:
 
 @cache
 def lobe_albedo() -> tuple[Float[np.ndarray, "table table"], Float[np.ndarray, " table"]]:
-    """The share of light the single-scattering lobe reflects, over (roughness, cosine), and its mean over cosines."""
+    """Return the single-scattering lobe's albedo over (roughness, cosine), and its mean over cosines."""
     roughness = np.linspace(0, 1, _TABLE)
     cosine = np.linspace(0, 1, _TABLE).clip(1e-4)
     alpha = np.maximum(roughness**2, MIN_ALPHA)

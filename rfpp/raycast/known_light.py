@@ -1,19 +1,15 @@
-"""Known light: what reaches the pixels of an image straight from the emitters, and what shiny surfaces show of it.
+"""Direct light at the pixels of an image, and its reflections in glossy surfaces.
 
-Direct light is the term T L_e of the rendering equation's series L = L_e + T L_e + T² L_e + … Diffuse: Lambert's exact
-formula for each emitting triangle, times the share of it that is in sight, which shadow rays estimate; so fully visible
-light carries no noise. The formula's cost grows with the triangles, so a finely modeled lamp is left to its light
-samples. Glossy: light samples (the same shadow rays) and lobe samples combined by multiple importance sampling, which
-serves mirrors under small lights and dull surfaces under large ones alike.
+Direct light is the term T L_e of the rendering equation's series L = L_e + T L_e + T² L_e + … Diffuse light is
+Lambert's exact formula for each emitting triangle, corrected by shadow rays, so that fully visible light has no noise;
+lights of many triangles are sampled. Glossy light combines samples of the lights (the same shadow rays) and of the lobe
+by multiple importance sampling.
 
-Reflections are part of T² L_e: the glossy lobe at the first hit, all of the material at the second. No first-hit buffer
-can help with them, since a mirror shows what is elsewhere. Rays are drawn from the lobe: on a mirror all are the
-mirrored ray, and the picture in it is sharp; on a dull surface they spread as the light does. A dull surface that
-sees a small highlight in a shiny one would sparkle: few of its rays find it. As in the reference images, whose path
-tracer does so at its default ("Filter Glossy" 1 of Cycles), the shinier surface is blurred then.
+Reflections are part of T² L_e: the glossy lobe at the first hit, the whole material at the second. Rays are drawn from
+the lobe. A rough surface that reflects a small highlight would sparkle, because few of its rays find it; the glossier
+surface is then blurred, as in the reference images ("Filter Glossy" 1 of Cycles).
 
-The same rays of the lobe bring both. Shadow rays are spent where they count: every pixel sends a few to each light, and
-only those at whose place, or near, some are blocked and some are not, or with a highlight there, send the rest.
+Every pixel sends a few shadow rays to each light. Pixels near shadow edges and in highlights send the rest.
 """
 
 from __future__ import annotations
@@ -33,8 +29,7 @@ from rfpp.raycast.surface import Points, Surface
 from rfpp.raycast.threads import over_rows
 from rfpp.raycast.traces import Trace
 
-#: Shadow rays of each pixel to each light that look for the edges of shadows, and how many pixels around an edge are
-#: sampled in full.
+#: Shadow rays of each pixel to each light before edges are searched, and pixels around an edge that take all samples.
 _PROBES, _REACH = 4, 2
 
 
@@ -48,16 +43,16 @@ def with_known_light(
     reflects: bool = True,
     traced: bool = False,
 ) -> GBuffer:
-    """The same G-buffer with the direct light at its hits and, if they are wanted, reflections.
+    """Return the G-buffer with direct light at its hits and, if `reflects`, reflections.
 
     Args:
-        gbuffer: of the sampler's scene.
-        c2w, fov: of its camera, as in `rfpp.raycast.first_hit.first_hit`.
-        samples: of each point: shadow rays to each light at the edges of shadows, and rays of the glossy lobe; those of
-            a pixel's points are spread together.
-        seed: of the samples' displacement from pixel to pixel; the same seed gives the same numbers.
-        reflects: whether what surfaces reflect of other surfaces is wanted.
-        traced: whether it is wanted where that comes from.
+        gbuffer: G-buffer of the sampler's scene.
+        c2w, fov: Its camera, as in `rfpp.raycast.first_hit.first_hit`.
+        sampler: Lights of the scene.
+        samples: Shadow rays per point to each light at edges of shadows, and rays of the glossy lobe.
+        seed: Seed of the samples' displacement from pixel to pixel.
+        reflects: Also compute reflections of other surfaces.
+        traced: Also record the derivatives of reflections.
     """
     surface = Surface.seen(gbuffer, sampler.triangles, c2w, fov)
     height, width = (side // gbuffer.points for side in gbuffer.depth.shape)
@@ -90,10 +85,10 @@ def _add_light(
     diffuse: Float32[np.ndarray, "r 3"],
     glossy: Float32[np.ndarray, "r 3"],
 ) -> None:
-    """Adds what one light brings.
+    """Add one light's direct light.
 
     Args:
-        room: for what its samples come to, and for its light by formula.
+        room: Scratch space for the sums of its samples, and for its light by formula.
     """
     rows, scene, (sums, unhidden) = len(points.pixel), sampler.scene, room
     edge = np.ones(size[0] * size[1], np.bool_)

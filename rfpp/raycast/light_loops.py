@@ -1,4 +1,4 @@
-"""Light that reaches a point straight from the emitters, in loops that make, cast and shade one ray after the other."""
+"""Direct light at points, in loops that draw, cast and shade one ray after the other."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from rfpp.raycast.compiled import compiled
 from rfpp.raycast.counted_random import Key, key_of, spread, uniform
 from rfpp.raycast.embree import blocked
 from rfpp.raycast.ggx import lobe_and_pdf, sampled
-from rfpp.raycast.lit_scene import CLEARANCE, LitScene, light_of, met, tinted
+from rfpp.raycast.lit_scene import CLEARANCE, LitScene, intersect, light_of, tinted
 from rfpp.raycast.polygon_light import of_triangle
 from rfpp.raycast.solid_angle import direction_within, solid_angle
 from rfpp.raycast.surface import Points
@@ -62,9 +62,9 @@ def light_sample(
         return e, normal, 0.0, 0.0, False
     angle = solid_angle(point, scene.corners[e])
     if angle > SMALL_ANGLE:
-        way = direction_within(point, scene.corners[e], rest, v)
+        direction = direction_within(point, scene.corners[e], rest, v)
         corner, facing = scene.corners[e, 0], scene.facing[e]
-        toward = dot(way, facing)
+        toward = dot(direction, facing)
         away = (corner[0] - point[0], corner[1] - point[1], corner[2] - point[2])
         distance = dot(away, facing) / toward if toward != 0 else 0.0
         density = probability / angle
@@ -76,18 +76,18 @@ def light_sample(
         y = to_a * a[1] + to_b * b[1] + to_c * c[1] - point[1]
         z = to_a * a[2] + to_b * b[2] + to_c * c[2] - point[2]
         distance = np.sqrt(x * x + y * y + z * z)
-        way = (x / distance, y / distance, z / distance)
-        density = probability * _density_by_area(scene, e, way, distance)
+        direction = (x / distance, y / distance, z / distance)
+        density = probability * _density_by_area(scene, e, direction, distance)
     radiance = scene.radiance[e]
-    if scene.one_sided[e] and dot(way, scene.facing[e]) >= 0:
-        return e, way, density, 0.0, False
-    arriving = (radiance[0] + radiance[1] + radiance[2]) / 3 * max(dot(way, normal), 0.0) / density
-    clear = arriving > 0 and distance > 0 and not blocked(scene.address, point, way, distance - CLEARANCE)
-    return e, way, density, arriving, clear
+    if scene.one_sided[e] and dot(direction, scene.facing[e]) >= 0:
+        return e, direction, density, 0.0, False
+    arriving = (radiance[0] + radiance[1] + radiance[2]) / 3 * max(dot(direction, normal), 0.0) / density
+    clear = arriving > 0 and distance > 0 and not blocked(scene.address, point, direction, distance - CLEARANCE)
+    return e, direction, density, arriving, clear
 
 
 @compiled
-def density_of(scene: LitScene, e: int, point: Vector, normal: Vector, way: Vector, distance: float) -> float:
+def density_of(scene: LitScene, e: int, point: Vector, normal: Vector, direction: Vector, distance: float) -> float:
     """Return the density per solid angle with which `light_sample` draws a direction that hits an emitter."""
     light, probability = light_of(scene, e), scene.share[e]
     if scene.exact[light]:
@@ -96,7 +96,7 @@ def density_of(scene: LitScene, e: int, point: Vector, normal: Vector, way: Vect
         if target.irradiance:
             probability = _irradiance(scene, light, target, point, normal, e) / target.irradiance
     angle = solid_angle(point, scene.corners[e])
-    within = 1 / angle if angle > SMALL_ANGLE else _density_by_area(scene, e, way, distance)
+    within = 1 / angle if angle > SMALL_ANGLE else _density_by_area(scene, e, direction, distance)
     density: float = probability * within
     return density
 
@@ -121,19 +121,19 @@ def target_of(scene: LitScene, light: int, point: Vector, normal: Vector) -> Lig
 
 @compiled
 def over_density(own: float, other: float) -> float:
-    """1 / own density, times the weight of a sample that the other way of sampling could have given too.
+    """Return the weight of a sample that another density could have drawn too, over its own density.
 
-    The power heuristic own² / (own² + other²) (Veach 1997): a sharp lobe is left to its own samples, which see the
-    light whole, where light samples would hit the lobe now and then and sparkle.
+    The weight is the power heuristic own² / (own² + other²) (Veach 1997): samples of the lobe dominate for sharp lobes,
+    which samples of the light hit rarely.
     """
     return own / (own * own + other * other)
 
 
 @compiled
-def along_lobe(
+def draw_lobe(
     view: Vector, alpha: float, u: float, v: float, first: Vector, second: Vector, normal: Vector
 ) -> tuple[Triple, Triple]:
-    """A direction that the glossy lobe samples: in the frame of two tangents and the normal, and in the world."""
+    """Draw a direction from the glossy lobe; return it in the frame of tangents and normal, and in world space."""
     toward = sampled(view, alpha, u, v)
     return toward, in_world(toward, first, second, normal)
 
@@ -144,24 +144,24 @@ def emitter_light(
     emitter: int,
     point: Vector,
     normal: Vector,
-    way: Vector,
+    direction: Vector,
     distance: float,
     view: Vector,
     toward: Vector,
     alpha: float,
 ) -> Triple:
-    """What a ray of the lobe that has met an emitter brings, untinted and of single scattering."""
+    """Return the light of an emitter hit by a ray of the lobe, uncolored and for single scattering."""
     light = light_of(scene, emitter)
-    if not scene.shining[light] or (scene.one_sided[emitter] and dot(way, scene.facing[emitter]) >= 0):
+    if not scene.shining[light] or (scene.one_sided[emitter] and dot(direction, scene.facing[emitter]) >= 0):
         return BLACK
     reflected, by_lobe = lobe_and_pdf(view, toward, alpha)
-    density = density_of(scene, emitter, point, normal, way, distance)
+    density = density_of(scene, emitter, point, normal, direction, distance)
     return scaled(triple(scene.radiance[emitter]), reflected * over_density(by_lobe, density))
 
 
 @compiled
 def rays_to_all(scene: LitScene) -> int:
-    """How many rays that gather together it takes to sample all lights where they end."""
+    """Return the number of rays that together sample all lights at their ends."""
     return max((len(scene.shining) + _AT_ONCE - 1) // _AT_ONCE, 1)
 
 
@@ -179,14 +179,14 @@ def direct_at(
     every: int,
     turn: int,
 ) -> tuple[Triple, Triple]:
-    """Irradiance / π and glossy light at a point, in the units of `DirectLight`.
+    """Return irradiance / π and glossy light at a point, in the units of `DirectLight`.
 
     Args:
-        alpha: negative for a surface without glossy lobe.
-        specular: albedo, by which multiple scattering is colored.
-        wants_diffuse: whether irradiance is of interest.
-        every, turn: of the lights each `every`th from this one on is sampled, for all of them. Which, does not depend
-            on what shines, so that the light of several is the sum of theirs.
+        alpha: α of the glossy lobe; negative if there is none.
+        specular: Specular albedo, which colors multiple scattering.
+        wants_diffuse: Compute irradiance; else it is 0.
+        every, turn: Sample every `every`th light, beginning with number `turn`, in place of all. The choice does not
+            depend on which lights shine, so that the light of several is the sum of theirs.
     """
     diffuse, glossy = BLACK, BLACK
     first, second = tangents(normal)
@@ -198,10 +198,10 @@ def direct_at(
         target = target_of(scene, light, point, normal)
         for s in range(samples):
             u, v = spread(s, shift_u, shift_v)
-            e, way, density, _, clear = light_sample(scene, light, target, point, normal, u, v)
+            e, direction, density, _, clear = light_sample(scene, light, target, point, normal, u, v)
             if not clear:
                 continue
-            toward, radiance = in_frame(way, first, second, normal), triple(scene.radiance[e])
+            toward, radiance = in_frame(direction, first, second, normal), triple(scene.radiance[e])
             if wants_diffuse:
                 diffuse = added(diffuse, scaled(radiance, toward[2] / density / (np.pi * samples)))
             if alpha >= 0:
@@ -212,11 +212,13 @@ def direct_at(
     if alpha < 0:
         return diffuse, glossy
     if alpha <= WIDE and len(scene.shining) > 0:
-        toward, way = along_lobe(view, alpha, uniform(key, -1), uniform(key, -2), first, second, normal)
+        toward, direction = draw_lobe(view, alpha, uniform(key, -1), uniform(key, -2), first, second, normal)
         if toward[2] > 0:
-            triangle, _, _, distance, _ = met(scene, point, way)
+            triangle, _, _, distance, _ = intersect(scene, point, direction)
             if triangle >= 0 and scene.emitter[triangle] >= 0:
-                found = emitter_light(scene, scene.emitter[triangle], point, normal, way, distance, view, toward, alpha)
+                found = emitter_light(
+                    scene, scene.emitter[triangle], point, normal, direction, distance, view, toward, alpha
+                )
                 glossy = added(glossy, found)
     return diffuse, tinted(scene, glossy, view[2], alpha, specular)
 
@@ -232,11 +234,7 @@ def gathered_each(
     diffuse: Float[np.ndarray, "r 3"],
     glossy: Float[np.ndarray, "r 3"],
 ) -> None:
-    """Direct light at points.
-
-    Args:
-        diffuse, glossy: [R, 3] to fill in.
-    """
+    """Fill in the direct light at points."""
     for row in range(start, stop):
         normal, view = triple(points.normal[row]), triple(points.eye[row])
         shines = max(points.specular[row, 0], points.specular[row, 1], points.specular[row, 2]) > 0
@@ -284,9 +282,9 @@ def _emitter_by_irradiance(
 
 
 @compiled
-def _density_by_area(scene: LitScene, e: int, way: Vector, distance: float) -> float:
+def _density_by_area(scene: LitScene, e: int, direction: Vector, distance: float) -> float:
     """Return the density per solid angle of points spread evenly over a triangle."""
-    density: float = distance * distance / (scene.area[e] * max(abs(dot(way, scene.facing[e])), 1e-30))
+    density: float = distance * distance / (scene.area[e] * max(abs(dot(direction, scene.facing[e])), 1e-30))
     return density
 
 

@@ -1,4 +1,4 @@
-"""The lights of a scene as something to draw points from."""
+"""Lights of a scene, for sampling."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ _FORMULA_UP_TO = 16
 
 
 class LightSampler:
-    """The emitters of one scene and what stands between them and its surfaces; made once for any number of cameras.
+    """Emitters and occluders of one scene, for any number of cameras.
 
-    The emitting triangles of one object are one light, over which points are spread by power.
+    The emitting triangles of one object are one light, sampled by power.
 
     Args:
-        triangles: the whole scene, in world space.
+        triangles: The whole scene, in world space.
 
     Attributes:
-        names: of the objects that are lights.
-        scene: what loops read. Of its lights those that do not shine are black, and otherwise what they are.
+        names: Names of the objects that are lights.
+        scene: Arrays for compiled loops.
     """
 
     def __init__(self, triangles: SceneTriangles, caster: RayCaster | None = None):
@@ -81,7 +81,7 @@ class LightSampler:
         )
 
     def only(self, name: str) -> LightSampler:
-        """The same, of which one light shines. Raises UserError if there is none of this name."""
+        """Return a sampler in which only this light shines. Raises UserError if there is none of this name."""
         if name not in self.names:
             raise UserError(f"light '{name}' does not exist: choose from {', '.join(self.names)}")
         other, shining = copy(self), np.arange(len(self.names)) == self.names.index(name)
@@ -95,7 +95,7 @@ def _outwards(
     area: Float[np.ndarray, " e"],
     others: Float[np.ndarray, "n 3"],
 ) -> tuple[Float[np.ndarray, "e 3"], bool]:
-    """Normals away from the middle, and whether the triangles bound a convex body without any of the other points."""
+    """Return normals away from the center, and whether the triangles bound a convex body without other points."""
     middle = (corners.mean(1) * area[:, None]).sum(0) / area.sum()
     side = ((corners[:, 0] - middle) * facing).sum(-1, keepdims=True)
     outwards = np.where(side < 0, -facing, facing)

@@ -1,4 +1,4 @@
-"""What compiled loops read of a scene: triangles to cast rays at, their materials, and the emitters among them."""
+"""A scene for compiled loops: triangles to cast rays at, their materials, and emitters."""
 
 from __future__ import annotations
 
@@ -20,20 +20,21 @@ class LitScene(NamedTuple):
     """M triangles, of which E emit, in L lights.
 
     Attributes:
-        address: of the structure that rays are cast into (`rfpp.raycast.embree`).
-        positions, normals, material: as `SceneTriangles` has them.
-        emitter: [M] row of those that emit below, -1 for others.
-        corners, facing, radiance: [E, 3, 3], [E, 3] unit normals, of solid lights outwards, [E, 3], light by light.
-        one_sided: [E] whether it shines on its front alone, the side of its facing.
-        area: [E].
-        share: [E] of the emitted power of their light.
-        steps: [E] sums of the shares up to each.
-        first: [L + 1] emitters of each light.
-        shining: [L] whether its light is wanted.
-        exact: [L] whether Lambert's formula gives it: its triangles are few, equally bright, and parallel or solid.
-        middle, reach: [L, 3], [L] of a sphere around each light.
-        solid: [L] whether its triangles are few and bound a convex body, of which a point sees the sides that face it.
-        albedo, mean_albedo: see `rfpp.raycast.ggx.lobe_albedo`.
+        address: Address of the acceleration structure (`rfpp.raycast.embree`).
+        positions, normals, material: Arrays of `SceneTriangles`.
+        emitter: Index of each triangle's emitter, -1 for others.
+        corners, radiance: Emitters, light by light.
+        facing: Their unit normals; those of solid lights point outwards.
+        one_sided: True if the emitter shines on its front alone, the side of its facing.
+        area: Area.
+        share: Share of its light's power.
+        steps: Cumulative sums of the shares within each light.
+        first: Offsets of each light's emitters.
+        shining: True if the light is on.
+        exact: True if Lambert's formula holds: few triangles, equally bright, and parallel or solid.
+        middle, reach: Center and radius of a sphere around each light.
+        solid: True for few triangles that bound a convex body; a point sees the sides that face it.
+        albedo, mean_albedo: Tables of `rfpp.raycast.ggx.lobe_albedo`.
     """
 
     address: int
@@ -60,7 +61,7 @@ class LitScene(NamedTuple):
 
 @compiled
 def light_of(scene: LitScene, emitter: int) -> int:
-    """The light that an emitter belongs to."""
+    """Return the light that an emitter belongs to."""
     light = 0
     while scene.first[light + 1] <= emitter:
         light += 1
@@ -68,18 +69,17 @@ def light_of(scene: LitScene, emitter: int) -> int:
 
 
 @compiled
-def met(scene: LitScene, origin: Vector, way: Vector) -> tuple[int, float, float, float, Triple]:
-    """What a ray meets: triangle (-1 for none), weights of its corners 1 and 2, distance, and the point."""
-    triangle, u, v, distance = closest(scene.address, origin, way)
-    return triangle, u, v, distance, added(origin, scaled(way, distance if triangle >= 0 else 0.0))
+def intersect(scene: LitScene, origin: Vector, direction: Vector) -> tuple[int, float, float, float, Triple]:
+    """Return a ray's closest hit: triangle (-1 for none), weights of its corners 1 and 2, distance, and the point."""
+    triangle, u, v, distance = closest(scene.address, origin, direction)
+    return triangle, u, v, distance, added(origin, scaled(direction, distance if triangle >= 0 else 0.0))
 
 
 @compiled
-def surface_there(
-    scene: LitScene, triangle: int, u: float, v: float, way: Vector, point: Vector
+def surface_at(
+    scene: LitScene, triangle: int, u: float, v: float, direction: Vector, point: Vector
 ) -> tuple[Triple, Triple, Triple]:
-    """Of what a ray of this direction has met: where rays from it start, its shading normal on the ray's side, and the
-    direction back."""
+    """Return the surface at a ray's hit: origin of further rays, shading normal on the ray's side, direction back."""
     corners = scene.positions[triangle]
     a, b, c = triple(corners[0]), triple(corners[1]), triple(corners[2])
     face = unit(*normal_of(a, b, c))
@@ -87,19 +87,19 @@ def surface_there(
     a, b, c = triple(corners[0]), triple(corners[1]), triple(corners[2])
     w = 1 - u - v
     normal = unit(w * a[0] + u * b[0] + v * c[0], w * a[1] + u * b[1] + v * c[1], w * a[2] + u * b[2] + v * c[2])
-    side = -1.0 if dot(face, way) > 0 else 1.0
-    return added(point, scaled(face, side * CLEARANCE)), scaled(normal, side), scaled(way, -1.0)
+    side = -1.0 if dot(face, direction) > 0 else 1.0
+    return added(point, scaled(face, side * CLEARANCE)), scaled(normal, side), scaled(direction, -1.0)
 
 
 @compiled
 def scattering(scene: LitScene, cosine: float, alpha: float, specular: float) -> float:
-    """See `rfpp.raycast.ggx.multiple_scattering`: of one surface and color."""
+    """Return the factor of `rfpp.raycast.ggx.multiple_scattering` for one surface and color."""
     return ggx.scattered(scene.albedo, scene.mean_albedo, cosine, alpha, specular)
 
 
 @compiled
 def tinted(scene: LitScene, glossy: Vector, cosine: float, alpha: float, specular: Vector) -> Triple:
-    """Light of single scattering with that of multiple scattering, color by color."""
+    """Return glossy light with multiple scattering, from that of single scattering."""
     return (
         glossy[0] * scattering(scene, cosine, alpha, specular[0]),
         glossy[1] * scattering(scene, cosine, alpha, specular[1]),
@@ -109,7 +109,7 @@ def tinted(scene: LitScene, glossy: Vector, cosine: float, alpha: float, specula
 
 @compiled
 def growth(scene: LitScene, cosine: float, alpha: float, specular: Vector) -> Triple:
-    """See `rfpp.raycast.ggx.scattering_growth`, color by color."""
+    """Return `rfpp.raycast.ggx.scattering_growth` for each color."""
     return (
         ggx.scattering_growth(scene.albedo, scene.mean_albedo, cosine, alpha, specular[0]),
         ggx.scattering_growth(scene.albedo, scene.mean_albedo, cosine, alpha, specular[1]),
@@ -119,7 +119,7 @@ def growth(scene: LitScene, cosine: float, alpha: float, specular: Vector) -> Tr
 
 @compiled
 def slope_of(scene: LitScene, glossy: Vector, cosine: float, alpha: float, specular: Vector) -> Triple:
-    """Derivative of specular albedo · glossy light by that albedo, which colors multiple scattering as well."""
+    """Return the derivative of specular albedo · glossy light by that albedo, including multiple scattering."""
     more = growth(scene, cosine, alpha, specular)
     return (
         glossy[0] * (1 + specular[0] * more[0]),
@@ -130,24 +130,25 @@ def slope_of(scene: LitScene, glossy: Vector, cosine: float, alpha: float, specu
 
 @compiled
 def alpha_of(scene: LitScene, triangle: int) -> float:
-    """Of its glossy lobe."""
+    """Return α of a triangle's glossy lobe."""
     roughness = float64(scene.material[triangle, 6])
     return max(roughness * roughness, ggx.MIN_ALPHA)
 
 
 @compiled
 def blurred(alpha: float, density: float) -> float:
-    """α of what is seen by rays of this density: at least √(1 - density) / 2, as "Filter Glossy" 1 of Cycles has it."""
+    """Return α of a surface hit by rays of this density: at least √(1 - density) / 2, as Cycles' "Filter Glossy" 1."""
     spread: float = np.sqrt(max(1 - density, 0.0))
     return max(alpha, 0.5 * spread)
 
 
 @compiled
 def density_of_lobes(diffuse: float, specular: float, cosine: float, by_lobe: float) -> float:
-    """With which both lobes of a surface together send out a ray, per solid angle.
+    """Return the density per solid angle with which both lobes together draw a ray.
 
     Args:
-        diffuse, specular: mean albedos.
-        by_lobe: density of the glossy lobe's own rays.
+        diffuse, specular: Mean albedos.
+        cosine: Cosine between the ray and the normal.
+        by_lobe: Density of the glossy lobe's own rays.
     """
     return (diffuse * cosine / np.pi + specular * by_lobe) / max(diffuse + specular, 1e-12)

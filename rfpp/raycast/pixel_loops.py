@@ -1,4 +1,4 @@
-"""Direct light and reflections at the points of an image, with rays spent where they count; see `known_light`."""
+"""Loops over an image's points that compute direct light and reflections; see `known_light`."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from rfpp.raycast.compiled import compiled
 from rfpp.raycast.counted_random import Key, key_of, spread, uniform
 from rfpp.raycast.ggx import lobe_and_pdf
 from rfpp.raycast.light_loops import (
-    along_lobe,
     direct_at,
+    draw_lobe,
     emitter_light,
     light_sample,
     over_density,
@@ -24,10 +24,10 @@ from rfpp.raycast.lit_scene import (
     blurred,
     density_of_lobes,
     growth,
-    met,
+    intersect,
     scattering,
     slope_of,
-    surface_there,
+    surface_at,
     tinted,
 )
 from rfpp.raycast.polygon_light import BLOCK, unhidden_each
@@ -53,12 +53,12 @@ def light_samples(
     key: Key,
     sums: Float[np.ndarray, "r sums"],
 ) -> None:
-    """Adds samples of one light to the sums of each point.
+    """Add samples of one light to the sums of each point.
 
     Args:
-        begin, end: which samples of each point; the first starts the sums anew.
-        only: [pixels] those whose points are sampled.
-        sums: [R, SUMS].
+        begin, end: Range of sample numbers; number 0 resets the sums.
+        only: Pixels whose points are sampled.
+        sums: Sums to add to.
     """
     if begin == 0:
         sums[start:stop] = 0
@@ -75,12 +75,12 @@ def light_samples(
         for s in range(begin, end):
             # all samples of a pixel's points are spread over the light together
             u, v = spread(s * points.of_pixel + points.nth[row], shift_u, shift_v)
-            e, way, density, arriving, clear = light_sample(scene, light, target, point, normal, u, v)
+            e, direction, density, arriving, clear = light_sample(scene, light, target, point, normal, u, v)
             own[WHOLE] += arriving
             if not clear:
                 continue
             own[VISIBLE] += arriving
-            toward = in_frame(way, first, second, normal)
+            toward = in_frame(direction, first, second, normal)
             by_area = toward[2] / density / np.pi
             by_lobe = 0.0
             if alpha >= 0:
@@ -180,15 +180,14 @@ def lobe_rays(
     light: Float[np.ndarray, "r 3"],
     trace: Trace,
 ) -> None:
-    """What rays of the glossy lobe bring: of emitters, and of surfaces that are lit by them.
+    """Cast rays of the glossy lobe; gather light of emitters, and of surfaces that they light.
 
     Args:
-        points: `rfpp.raycast.surface.Points`.
-        samples: rays of a point, at most: a mirror's are all one, and of a weak lobe less noise is seen.
-        reflects: whether surfaces are of interest.
-        glossy: [R, 3] of the emitters; what light samples have brought, to which it is added.
-        light: [R, 3] to fill in: see `Reflection`.
-        trace: of `light`, to fill in (`rfpp.raycast.traces.Trace`).
+        samples: Largest number of rays per point: a mirror needs one, a weak lobe shows less noise.
+        reflects: Gather light of surfaces, too.
+        glossy: Glossy light by samples of the lights; that of the rays is added.
+        light: Light of surfaces, filled in; see `Reflection`.
+        trace: Derivatives of `light`, filled in.
     """
     traced = trace.triangle.shape[1] > 0
     for row in range(start, stop):
@@ -207,37 +206,39 @@ def lobe_rays(
         for s in range(count):
             number = s * points.of_pixel + points.nth[row]
             u, v = spread(number, shift_u, shift_v)
-            toward, way = along_lobe(view, alpha, u, v, first, second, normal)
+            toward, direction = draw_lobe(view, alpha, u, v, first, second, normal)
             if toward[2] <= 0:
                 continue
-            triangle, a, b, distance, there = met(scene, point, way)
+            triangle, a, b, distance, there = intersect(scene, point, direction)
             if triangle < 0:
                 continue
             if scene.emitter[triangle] >= 0:
-                found = emitter_light(scene, scene.emitter[triangle], point, normal, way, distance, view, toward, alpha)
+                found = emitter_light(
+                    scene, scene.emitter[triangle], point, normal, direction, distance, view, toward, alpha
+                )
                 emitted = added(emitted, found)
             if not reflects or distance <= 0:
                 continue
             reflected, by_lobe = lobe_and_pdf(view, toward, alpha)
             weight = reflected / by_lobe
-            seen_from, its_normal, back = surface_there(scene, triangle, a, b, way, there)
+            seen_from, its_normal, back = surface_at(scene, triangle, a, b, direction, there)
             its_diffuse, its_specular = triple(scene.material[triangle]), triple(scene.material[triangle, 3:6])
             cosine = dot(its_normal, back)
             shines = max(its_specular[0], its_specular[1], its_specular[2]) > 0 and cosine > 0
             density = density_of_lobes(own_diffuse, own_specular, toward[2], by_lobe)
             its_alpha = blurred(alpha_of(scene, triangle), density) if shines else -1.0
             of_ray = key_of(own_key, 2 + number)
-            dull, glossy_there = direct_at(
+            diffuse_there, glossy_there = direct_at(
                 scene, seen_from, its_normal, back, its_alpha, its_specular, 1, of_ray, True, every, number
             )
-            leaving = added(product(its_diffuse, dull), product(its_specular, glossy_there))
+            leaving = added(product(its_diffuse, diffuse_there), product(its_specular, glossy_there))
             reflection = added(reflection, scaled(leaving, weight))
             if not traced:
                 continue
             trace.triangle[row, s] = triangle
             slope = slope_of(scene, glossy_there, cosine, its_alpha, its_specular) if shines else glossy_there
             for c in range(3):
-                trace.diffuse[row, s, c], trace.specular[row, s, c] = weight * dull[c], weight * slope[c]
+                trace.diffuse[row, s, c], trace.specular[row, s, c] = weight * diffuse_there[c], weight * slope[c]
         emitted = tinted(scene, scaled(emitted, 1 / count), view[2], alpha, specular)
         more = growth(scene, view[2], alpha, specular) if traced else BLACK
         for c in range(3):
@@ -260,7 +261,7 @@ def to_image(
     light: Float[np.ndarray, "n r 3"],
     maps: Float[np.ndarray, "n pixels 3"],
 ) -> None:
-    """Writes what was found at points to their pixels."""
+    """Write the light at points to their pixels."""
     for kind in range(len(light)):
         for row in range(start, stop):
             for c in range(3):

@@ -1,4 +1,4 @@
-"""How much light triangles that shine evenly send to a point: Lambert's formula, exact, horizon included."""
+"""Irradiance of uniformly bright triangles: Lambert's exact formula, clipped at the horizon."""
 
 from __future__ import annotations
 
@@ -9,22 +9,22 @@ from rfpp.raycast.compiled import compiled
 from rfpp.raycast.lit_scene import LitScene
 from rfpp.raycast.vectors import BLACK, Triple, Vector, added, dot, scaled, triple
 
-#: In place of the factor of a triangle that a point's horizon cuts.
+#: Marks a triangle that is cut by a point's horizon.
 _CUT = -1.0
-#: Rows of the room that `unhidden_each` wants.
+#: Rows of scratch space for `unhidden_each`.
 ROOM = 10
-#: Points whose numbers stay in a core's cache while all triangles of a light pass by.
+#: Points whose data stays in a core's cache during the loop over a light's triangles.
 BLOCK = 512
 
 
 def form_factor(
     points: Float[np.ndarray, "r 3"], normals: Float[np.ndarray, "r 3"], corners: Float[np.ndarray, "e 3 3"]
 ) -> Float[np.ndarray, "r e"]:
-    """Irradiance / (π · radiance) at each point from each triangle with nothing in between, from either of its sides.
+    """Return the unoccluded irradiance / (π · radiance) at each point from each triangle, from either of its sides.
 
-    The part of a triangle below the horizon of `normals` sends nothing. The sum of angle · (unit normal of the
-    plane through the point and an edge) over the edges of the visible part, along the surface normal, over 2π; where
-    the horizon cuts the triangle, the cut is one more edge (Lambert 1760; Baum et al. 1989 for the clipping).
+    The part of a triangle below the horizon of `normals` is clipped. The factor is the sum over the edges of angle ·
+    (unit normal of the plane through point and edge) · surface normal / 2π (Lambert 1760; Baum et al. 1989 for the
+    clipping).
     """
     factors = np.empty((len(points), len(corners)))
     points, normals, corners = (np.ascontiguousarray(x, np.float64) for x in (points, normals, corners))
@@ -46,7 +46,7 @@ def _each(
 
 @compiled
 def of_triangle(point: Vector, normal: Vector, corners: Float[np.ndarray, "3 3"]) -> float:
-    """See `form_factor`: of one triangle at one point."""
+    """Return the form factor of one triangle at one point; see `form_factor`."""
     a, b, c = _away(point, corners[0]), _away(point, corners[1]), _away(point, corners[2])
     above_a, above_b, above_c = dot(a, normal), dot(b, normal), dot(c, normal)
     if above_a <= 0 and above_b <= 0 and above_c <= 0:
@@ -80,12 +80,12 @@ def unhidden_each(
     first: int,
     room: Float[np.ndarray, "room r"],
 ) -> None:
-    """Irradiance / π of a light, with nothing in between, at points taken several at once, best BLOCK of them.
+    """Fill in the unoccluded irradiance / π of a light at many points, best BLOCK of them.
 
     Args:
-        light: of which the formula holds (`LitScene.exact`).
-        first: column of the room that the first point's numbers go to.
-        room: its first three rows are written, red to blue; the others are numbers by the way.
+        light: Light for which the formula holds (`LitScene.exact`).
+        first: Column of the first point in `room`.
+        room: The first three rows receive red, green and blue; the others are scratch space.
     """
     last = first + stop - start
     red, green, blue, own = room[0, first:last], room[1, first:last], room[2, first:last], room[3, first:last]
@@ -115,7 +115,7 @@ def unhidden_each(
 def _shines_at(
     x: Float[np.ndarray, " r"], y: Float[np.ndarray, " r"], z: Float[np.ndarray, " r"], corner: Vector, outwards: Triple
 ) -> bool:
-    """Whether any of the points is on the side of a triangle that shines."""
+    """Return whether any of the points is on the shining side of a triangle."""
     nearest = np.inf
     for row in range(len(x)):
         nearest = min(nearest, dot(_away((x[row], y[row], z[row]), corner), outwards))
@@ -135,10 +135,9 @@ def _of_triangle_at(
     outwards: Triple,
     factor: Float[np.ndarray, " r"],
 ) -> None:
-    """Writes the factor of a triangle that shines only outwards, if that is a direction, at many points.
+    """Fill in the form factor of a triangle at many points; it shines only outwards if that is a direction.
 
-    A loop that stores one number at the end and takes the same way for all, so that the compiler has a core do several
-    points at once: it takes a seventh of the time.
+    The loop has no branches and stores one number, so that the compiler vectorizes it: a seventh of the time.
     """
     corner_a, corner_b, corner_c = triple(corners[0]), triple(corners[1]), triple(corners[2])
     for row in range(len(x)):
@@ -157,19 +156,19 @@ def _away(point: Vector, corner: Vector) -> Triple:
 
 
 def _fitted(degree: int) -> tuple[float, ...]:
-    """Coefficients of a polynomial in x that is arccos(x) / sin(arccos(x)) for x in [0, 1], highest power first."""
+    """Return polynomial coefficients of arccos(x) / sin(arccos(x)) for x in [0, 1], highest power first."""
     middle = (np.cos(np.pi * (np.arange(degree + 1) + 0.5) / (degree + 1)) + 1) / 2  # Chebyshev's points
     angle = np.arccos(middle)
     return tuple(np.polyfit(middle, angle / np.sin(angle), degree).tolist())
 
 
-#: To 4e-9; with arctangents direct light takes a twentieth longer.
+#: Accurate to 4e-9; arctangents would make direct light 5% slower.
 _ANGLE_OVER_SINE = _fitted(10)
 
 
 @compiled
 def _edge(a: Vector, b: Vector, normal: Vector) -> float:
-    """angle(a, b) · (unit a × b) · normal."""
+    """Return angle(a, b) · (unit a × b) · normal."""
     across = (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
     scale = 1 / np.sqrt(max(dot(a, a) * dot(b, b), 1e-60))
     cosine, ratio = dot(a, b) * scale, 0.0

@@ -46,11 +46,11 @@ class RayCaster:
         self.address = self._structure.address if self._structure else 0
 
     def __len__(self) -> int:
-        """The number of triangles."""
+        """Return the number of triangles."""
         return self._count
 
     def cast(self, origins: Float[np.ndarray, "r 3"], directions: Float[np.ndarray, "r 3"]) -> Hits:
-        """The nearest triangle in front of each ray; both sides of a triangle count."""
+        """Return the closest triangle hit by each ray, from either side."""
         count = len(origins)
         hits = Hits(np.empty(count, np.int32), np.empty((count, 3), np.float32), np.empty(count, np.float32))
         over_rows(count, _cast, self.address, _packed(origins), _packed(directions), *hits)
@@ -67,12 +67,12 @@ def _cast(
     last: int,
     address: int,
     origins: Float[np.ndarray, "r 3"],
-    ways: Float[np.ndarray, "r 3"],
+    directions: Float[np.ndarray, "r 3"],
     triangle: Int[np.ndarray, " r"],
     barycentric: Float[np.ndarray, "r 3"],
     distance: Float[np.ndarray, " r"],
 ) -> None:
     for row in range(first, last):
-        hit, u, v, reach = closest(address, origins[row], ways[row])
+        hit, u, v, reach = closest(address, origins[row], directions[row])
         triangle[row], distance[row] = hit, reach
         barycentric[row, 0], barycentric[row, 1], barycentric[row, 2] = (1 - u - v if hit >= 0 else 0.0), u, v

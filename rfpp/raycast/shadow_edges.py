@@ -1,4 +1,4 @@
-"""Which pixels want more samples of a light: those at the edges of its shadows and in its highlights."""
+"""Find the pixels that need more samples of a light: those at edges of its shadows and in its highlights."""
 
 from __future__ import annotations
 
@@ -11,13 +11,12 @@ from rfpp.raycast.pixel_loops import LOBE, SQUARES, VISIBLE, WHOLE
 from rfpp.raycast.surface import Points
 from rfpp.raycast.vectors import added, dot, mean, scaled, triple
 
-#: Highlights of lobes up to this α ask for all samples if the lamp is near the mirrored direction (stopping sooner
-#: would miss bright samples more than dark), others if their standard error in a pixel is more than this share of the
-#: light that it gets of the lamp.
+#: Highlights of lobes up to this α take all samples if the light is near the mirrored direction: stopping earlier would
+#: miss bright samples more often than dark ones. Others do if their standard error exceeds this share of the light.
 _SHARP, _NOISY = 0.25, 0.02
-#: How far a lobe is looked for, in α, where it has 1/300 of what it has in the middle.
+#: Half width of a lobe, in α, at 1/300 of its maximum.
 _WIDTHS = 4
-#: What a pixel has seen of a light.
+#: Bits of a pixel: a sample of the light was blocked, or visible.
 HIDDEN, CLEAR = 1, 2
 
 
@@ -36,16 +35,16 @@ def find_edges(
     lobe: Float[np.ndarray, "pixels 3"],
     edge: Bool[np.ndarray, " pixels"],
 ) -> None:
-    """Fills in which pixels want more samples of a light: those that see it whole and hidden, themselves or within so
-    many pixels, at the edges of shadows, and those with a highlight of it that is sharp or noisy.
+    """Fill in which pixels need more samples of a light: at edges of shadows, and in sharp or noisy highlights.
 
-    Decided by each light's own light alone, so that the light of several is the sum of theirs.
+    At an edge, some samples within `reach` pixels are visible and some are blocked. The choice depends on this light
+    alone, so that the light of several is the sum of theirs.
 
     Args:
-        samples: of each point, in the sums.
-        seen, lobe: zeros, to count in.
-        column: room for what is seen in each column near a row.
-        edge: [H · W] bool.
+        samples: Samples per point in the sums.
+        seen, lobe: Scratch space, zeros.
+        column: Scratch space for a row.
+        edge: [H · W] bool, the result.
     """
     for row in range(len(points.pixel)):
         own, pixel = sums[row], points.pixel[row]
@@ -70,14 +69,14 @@ def find_edges(
             found = 0
             for i in range(max(x - reach, 0), min(x + reach + 1, width)):
                 found |= column[i]
-            shine, square, dull = scaled(lobe[y * width + x], 1 / count)
+            shine, square, diffuse = scaled(lobe[y * width + x], 1 / count)
             error = np.sqrt(max(square - shine * shine, 0.0) / count)
-            edge[y * width + x] = found == CLEAR | HIDDEN or error > _NOISY * (shine + dull)
+            edge[y * width + x] = found == CLEAR | HIDDEN or error > _NOISY * (shine + diffuse)
 
 
 @compiled
 def _mirrored(scene: LitScene, light: int, points: Points, row: int) -> bool:
-    """Whether a point's glossy lobe varies much over a light: whether some of it is near the mirrored direction.
+    """Return whether a point's glossy lobe varies much over a light, being near the mirrored direction.
 
     A normal between the directions to the eye and to the light is tilted by half the angle between the mirrored
     direction and the light, or more.

@@ -1,4 +1,4 @@
-"""Points on surfaces that light is gathered at."""
+"""Points on surfaces at which light is gathered."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ from rfpp.scene.triangles import DIFFUSE, ROUGHNESS, SPECULAR, SceneTriangles
 
 
 class Points(NamedTuple):
-    """What loops read of R points that lie in pixels.
+    """Points of an image for compiled loops.
 
     Attributes:
-        point, normal, diffuse, specular: as `Surface` has them.
-        eye: direction that each is seen from.
-        alpha: negative where the glossy lobe sends nothing to the eye.
-        pixel: [R] that each lies in.
-        nth: [R] which of the pixel's points it is.
-        of_pixel: how many points a pixel has.
+        point, normal, diffuse, specular: Arrays of `Surface`.
+        eye: Directions to the eye.
+        alpha: α of the glossy lobe; negative where it sends nothing to the eye.
+        pixel: Pixel of each point.
+        nth: Number of the point within its pixel.
+        of_pixel: Points per pixel.
     """
 
     point: Float[np.ndarray, "r 3"]
@@ -43,13 +43,14 @@ class Points(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """R points of a scene's surfaces: where rays start, shading normal, direction they are seen from, material.
+    """Points of a scene's surfaces.
 
     Attributes:
-        point: a little in front of the surface, on the side that is seen.
-        normal, view: unit vectors.
-        diffuse, specular: albedos.
-        alpha: of the glossy lobe (`rfpp.raycast.ggx`).
+        point: Origins of rays, slightly in front of the surface, on the visible side.
+        normal: Unit shading normals.
+        view: Unit directions to the eye.
+        diffuse, specular: Albedos.
+        alpha: α of the glossy lobes (`rfpp.raycast.ggx`).
     """
 
     point: Float[np.ndarray, "r 3"]
@@ -68,9 +69,9 @@ class Surface:
         normal: Float[np.ndarray, "r 3"],
         eye: Float[np.ndarray, "*r 3"],
     ) -> Surface:
-        """Points on triangles with their shading normals, seen from `eye`, one for all or one for each.
+        """Describe points on triangles, seen from one eye or from one eye each.
 
-        An eye that lies in the point itself looks along the normal.
+        If the eye is the point itself, its direction is the normal.
         """
         position, normal = (np.ascontiguousarray(x, np.float64) for x in (position, normal))
         eye = np.broadcast_to(np.asarray(eye, np.float64), position.shape)
@@ -89,7 +90,7 @@ class Surface:
     def seen(
         cls, gbuffer: GBuffer, triangles: SceneTriangles, c2w: Float[np.ndarray, "4 4"], fov: SupportsFloat
     ) -> Surface:
-        """The pixels of a G-buffer that hit something, row by row."""
+        """Describe the hits of a G-buffer, row by row."""
         pixel = np.flatnonzero(gbuffer.hit)
         point, normal, view, diffuse, specular = np.empty((5, len(pixel), 3))
         alpha = np.empty(len(pixel))
@@ -105,12 +106,16 @@ class Surface:
         return len(self.point)
 
     def part(self, rows: slice | Int[np.ndarray, " n"]) -> Surface:
-        """Some of the points."""
+        """Return some of the points."""
         return Surface(**{field.name: getattr(self, field.name)[rows] for field in fields(self)})
 
     def points(self, hit: Bool[np.ndarray, "h w"], along: int = 1) -> Points:
-        """These points, one for each pixel of an image that hits something or, with so many points along each side of a
-        pixel, for each point."""
+        """Return the points of an image's hits.
+
+        Args:
+            hit: True where the image hits a surface.
+            along: Points along each side of a pixel.
+        """
         place, alpha = np.flatnonzero(hit), np.empty(len(self))
         pixel, nth = np.empty((2, len(self)), np.int64)
         vectors = self.point, self.normal, self.view, self.diffuse, self.specular
@@ -175,7 +180,7 @@ def _turned(pose: Float[np.ndarray, "4 4"], vector: Vector) -> Triple:
 
 @compiled
 def _raised(corners: Float[np.ndarray, "3 3"], position: Vector, normal: Vector, eye: Vector) -> tuple[Triple, Triple]:
-    """The point of a triangle from which rays start, and the direction to the eye; to one in the point, the normal."""
+    """Return the origin of rays in front of a triangle, and the direction to the eye."""
     away = (eye[0] - position[0], eye[1] - position[1], eye[2] - position[2])
     distance = np.sqrt(dot(away, away))
     view = scaled(away, 1 / distance) if distance > 0 else scaled(normal, 1.0)
@@ -199,7 +204,7 @@ def _of_pixels(
     nth: Int[np.ndarray, " r"],
     of_lobe: Float[np.ndarray, " r"],
 ) -> None:
-    """Fills in a `Points`' pixel, nth and alpha, of places in an image of so many points a row."""
+    """Fill in pixel, nth and alpha of `Points`."""
     for row in range(start, stop):
         y, x = place[row] // width, place[row] % width
         pixel[row] = y // along * (width // along) + x // along

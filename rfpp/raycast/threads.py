@@ -1,7 +1,7 @@
-"""Compiled loops over many rows, on all of the processor's cores that this process may use.
+"""Run compiled loops over many rows on all available cores.
 
-Between them NumPy multiplies no large matrices (`np.einsum` does without BLAS): OpenBLAS's threads go on spinning for
-tens of milliseconds after each product, and take the cores from the loops.
+Code between the loops avoids BLAS (`np.einsum` does): OpenBLAS's threads spin for tens of milliseconds after each
+product and take the cores from the loops.
 """
 
 from __future__ import annotations
@@ -12,17 +12,17 @@ from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
 from typing import Any
 
-#: Rows that are not worth a thread of their own.
+#: Rows too few for a thread of their own.
 _FEW = 1 << 11
-#: Blocks for each core: those of a sky take less time than those of a mirror.
+#: Blocks per core; blocks of background take less time than blocks of mirrors.
 _BLOCKS = 4
 
 
 def over_rows(count: int, loop: Callable[..., None], *arguments: Any) -> None:
-    """Calls loop(first, last, *arguments) for blocks of rows. What a row comes to must not depend on its block.
+    """Call loop(first, last, *arguments) for blocks of rows. Results must not depend on the blocks.
 
     Args:
-        loop: compiled, so that it holds no lock (`rfpp.raycast.compiled`).
+        loop: Compiled function, which holds no lock (`rfpp.raycast.compiled`).
     """
     blocks = min(_BLOCKS * cores(), -(-count // _FEW)) if cores() > 1 else 1
     if blocks <= 1:
@@ -35,5 +35,5 @@ def over_rows(count: int, loop: Callable[..., None], *arguments: Any) -> None:
 
 
 def cores() -> int:
-    """That this process may use."""
+    """Return the number of cores available to this process."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

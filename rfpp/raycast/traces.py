@@ -1,7 +1,7 @@
-"""Where known light comes from: how it changes with the albedos of the surfaces that its rays have met.
+"""Derivatives of reflections by the albedos of the surfaces that their rays hit.
 
-Known light is linear in these albedos, but for the multiple scattering of glossy lobes, whose derivative is known. So a
-record of rays is enough to tell how light would change, with all rays as they are.
+Reflections are linear in these albedos, except for the multiple scattering of glossy lobes, whose derivative is known.
+Recorded rays therefore suffice to differentiate them.
 """
 
 from __future__ import annotations
@@ -13,12 +13,12 @@ from jaxtyping import Float, Int
 
 
 class Trace(NamedTuple):
-    """Derivatives of the light at R places, color by color.
+    """Derivatives of the light at R points, for each color.
 
     Attributes:
-        triangle: [R, S] that S rays of each place have met; 0, with derivatives of 0, where they have met none.
-        diffuse, specular: [R, S, 3] by the albedos there.
-        growth: [R, 3] of the logarithm of glossy light by the place's own specular albedo, which colors multiple
+        triangle: Triangles hit by S rays from each point; 0, with derivatives of 0, where there is no hit.
+        diffuse, specular: Derivatives by their albedos.
+        growth: Derivative of the logarithm of glossy light by the point's own specular albedo, which colors multiple
             scattering.
     """
 
@@ -29,7 +29,7 @@ class Trace(NamedTuple):
 
     @classmethod
     def of(cls, places: int, rays: int) -> Trace:
-        """To be filled in; nothing is recorded where there are no rays."""
+        """Return an empty record to fill in; it records nothing if there are no rays."""
         each = np.zeros((places, rays, 3), np.float32)
         growth = np.zeros((places if rays else 0, 3), np.float32)
         return cls(np.zeros((places, rays), np.int32), each, np.zeros_like(each), growth)

@@ -68,7 +68,7 @@ class Slot:
             self.connection.close()
 
     def finish(self, limits: Limits) -> tuple[Task, Any]:
-        """The current task and its result; replaces the worker if it died, hangs or has reached its limits."""
+        """Return the current task and its result; replace the worker if it died, hangs or has reached its limits."""
         if self.connection.closed or self.connection.poll():
             result = self._received()
         else:
@@ -179,7 +179,7 @@ def _pickled_error(error: Exception) -> bytes:
 
 @contextmanager
 def _running_on(cores: frozenset[int]) -> Iterator[None]:
-    """Within this block new processes inherit `cores`; systems without CPU pinning ignore it."""
+    """Let new processes inherit `cores` within this block; systems without CPU pinning ignore it."""
     if not hasattr(os, "sched_setaffinity"):
         yield
         return

@@ -23,7 +23,7 @@ def covered_cells(size: int) -> Bool[np.ndarray, "size size"]:
 
 
 def is_constant(texture: Float[np.ndarray, "m 13 p p"]) -> bool:
-    """Whether every triangle has one material and no normal map, so that ten numbers replace its patch."""
+    """True if every triangle has one material and no normal map, so that ten numbers replace its patch."""
     covered = covered_cells(texture.shape[-1])
     values = texture[:, :, 0, 0]
     flat = np.array(FLAT_NORMAL, values.dtype)

@@ -34,7 +34,7 @@ def compile_blocks(network: nn.Module) -> None:
 
 
 def _in_training(plain: Callable[..., Tensor], compiled: Callable[..., Tensor]) -> Callable[..., Tensor]:
-    """Compiling for validation too would cost more than it saves."""
+    """Run compiled code in training alone: compiling for validation costs more than it saves."""
 
     def forward(*inputs: Any) -> Tensor:
         return (compiled if torch.is_grad_enabled() else plain)(*inputs)

@@ -117,7 +117,7 @@ def _devices_per_node(devices: Any) -> int:
 
 
 def _precision_of_run(checkpoint: Path) -> str | None:
-    """Precision of the run that wrote a checkpoint; None if its folder has no config.yaml."""
+    """Return the precision of the run that wrote a checkpoint; None if its folder has no config.yaml."""
     config = checkpoint.parent.parent / "config.yaml"
     return OmegaConf.select(OmegaConf.load(config), f"{PLAN_KEY}.precision") if config.is_file() else None
 

@@ -118,7 +118,7 @@ def test_a_configuration_that_no_network_has_is_refused_at_once(tmp_path, path, 
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"model": {"_target_": "rfpp.model.exposure.UnitExposure"}}, "is of no network"),
+        ({"model": {"_target_": "rfpp.model.exposure.UnitExposure"}}, "describes no network"),
         ({"model": [1, 2]}, "model: Input should be a valid dictionary"),
         ({"resolution": [0, 16]}, "was trained at (0, 16) pixels"),
         ({"resolution": 16}, "resolution: "),

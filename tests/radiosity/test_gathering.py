@@ -172,11 +172,14 @@ def test_bounced_light_knows_shadows_within_a_cell():
     wall = Surface.at(scene, np.full(len(along), 2), place, facing, place + facing)
     leaving, arriving = 0.8 * direct_light(scene, wall, 8, rng)[0][:, 0], []
     for point in Surface.seen(gbuffer, scene, camera, FOV).point[of_floor[gbuffer.hit]][::7]:
-        way = wall.point - point
-        distance = np.linalg.norm(way, axis=-1)
-        way /= distance[:, None]
-        clear = RayCaster(scene.positions).cast(np.broadcast_to(point, way.shape), way).distance >= distance - 2e-4
-        arriving.append(np.mean(leaving * clear * way[:, 2] * way[:, 0] / (np.pi * distance**2)))
+        direction = wall.point - point
+        distance = np.linalg.norm(direction, axis=-1)
+        direction /= distance[:, None]
+        clear = (
+            RayCaster(scene.positions).cast(np.broadcast_to(point, direction.shape), direction).distance
+            >= distance - 2e-4
+        )
+        arriving.append(np.mean(leaving * clear * direction[:, 2] * direction[:, 0] / (np.pi * distance**2)))
     assert seen == pytest.approx(np.mean(arriving), rel=0.05)
 
 
@@ -206,9 +209,11 @@ def test_surfaces_that_touch_are_not_seen_from_where_they_touch():
     """A ray that starts on another surface has no length, and no direction back: its light was NaN."""
     lamp = (square(0.2) + np.array([1.5, 0, 0.5]), material(emission=1))
     sampler = LightSampler(pack((square(1.0), material(0.2, specular=0.9, roughness=1.0)), lamp))
-    origin, way = np.array([[0, 0, 0.0], [0, 0, 0.5]] * 200), np.array([[0, 0, -1.0]] * 400)
+    origin, direction = np.array([[0, 0, 0.0], [0, 0, 0.5]] * 200), np.array([[0, 0, -1.0]] * 400)
     rng = np.random.default_rng(0)
-    ends = follow_rays(sampler, find_places(sampler.triangles, sampler.caster).map, origin, way, np.ones(400), rng)
+    ends = follow_rays(
+        sampler, find_places(sampler.triangles, sampler.caster).map, origin, direction, np.ones(400), rng
+    )
     touching, away = ends.light[::2], ends.light[1::2]
     assert not touching.any() and (away > 0).any() and np.isfinite(away).all()
     assert (ends.onward[::2] == NOWHERE).all()

@@ -39,9 +39,11 @@ def relative_error(image, truth) -> float:
 def test_a_small_triangle_far_away_is_a_point_light():
     corners = 0.01 * np.array([[[0, 0, 0], [1, 0, 0.3], [0, 1, -0.2]]]) + [0.3, -0.4, 2.0]
     cross = np.cross(corners[0, 1] - corners[0, 0], corners[0, 2] - corners[0, 0])
-    way = corners[0].mean(0)
-    distance = np.linalg.norm(way)
-    expected = np.linalg.norm(cross) / 2 * abs(cross @ way) / np.linalg.norm(cross) * way[2] / distance**4 / np.pi
+    direction = corners[0].mean(0)
+    distance = np.linalg.norm(direction)
+    expected = (
+        np.linalg.norm(cross) / 2 * abs(cross @ direction) / np.linalg.norm(cross) * direction[2] / distance**4 / np.pi
+    )
     got = form_factor(np.zeros((1, 3)), np.array([[0, 0, 1.0]]), corners)
     assert got[0, 0] == pytest.approx(expected, rel=1e-3)
 
@@ -224,7 +226,7 @@ def test_a_scene_without_light_is_dark_and_channels_carry_the_light():
     gbuffer = lit(scene)
     stacked = stack_channels(gbuffer, scene.material, 40.0, ["direct_glossy", "direct_diffuse"])
     np.testing.assert_array_equal(stacked[3:], gbuffer.light.diffuse.transpose(2, 0, 1))
-    with pytest.raises(ValueError, match="without direct light"):
+    with pytest.raises(ValueError, match="with direct light"):
         stack_channels(first_hit(scene, POSE, 40.0, 8, 8), scene.material, 40.0, ["direct_diffuse"])
 
 

@@ -87,7 +87,7 @@ def test_channels_carry_the_reflection():
     gbuffer = reflecting(scene)
     stacked = stack_channels(gbuffer, scene.material, 40.0, ["roughness", "reflected_light"])
     np.testing.assert_array_equal(stacked[1:], gbuffer.reflection.light.transpose(2, 0, 1))
-    with pytest.raises(ValueError, match="without reflection"):
+    with pytest.raises(ValueError, match="with reflections"):
         stack_channels(first_hit(scene, POSE, 40.0, 8, 8), scene.material, 40.0, ["reflected_light"])
 
 

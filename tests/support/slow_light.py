@@ -24,12 +24,12 @@ def direct_light(scene: SceneTriangles, surface: Surface, samples: int, rng: np.
         cross = np.cross(b - a, c - a)
         for _ in range(samples):
             root, share = np.sqrt(rng.random((len(surface), 1))), rng.random((len(surface), 1))
-            way = (1 - root) * a + root * (1 - share) * b + root * share * c - surface.point
-            distance = np.linalg.norm(way, axis=-1)
-            way /= distance[:, None]
-            light = np.einsum("rkx,rx->rk", frame, way)
-            clear = (caster.cast(surface.point, way).distance >= distance - CLEARANCE) & (light[:, 2] > 0)
-            solid = np.abs(way @ cross) / 2 / distance**2 * clear / samples
+            direction = (1 - root) * a + root * (1 - share) * b + root * share * c - surface.point
+            distance = np.linalg.norm(direction, axis=-1)
+            direction /= distance[:, None]
+            light = np.einsum("rkx,rx->rk", frame, direction)
+            clear = (caster.cast(surface.point, direction).distance >= distance - CLEARANCE) & (light[:, 2] > 0)
+            solid = np.abs(direction @ cross) / 2 / distance**2 * clear / samples
             radiance = scene.material[emitter, EMISSION].astype(np.float64)
             found[0] += (solid * light[:, 2] / np.pi)[:, None] * radiance
             found[1] += (solid * ggx.lobe(view, light, surface.alpha))[:, None] * radiance * scale

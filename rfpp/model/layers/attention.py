@@ -117,13 +117,13 @@ class Bucket(NamedTuple):
 
 
 def padded_length(lengths: np.ndarray) -> np.ndarray:
-    """Lengths rounded up to a power of two, above GRANULARITY to a multiple of it."""
+    """Round lengths up to a power of two, above GRANULARITY to a multiple of it."""
     small = 2 ** np.ceil(np.log2(np.maximum(lengths, 1))).astype(int)
     return np.where(lengths <= GRANULARITY, small, -(-lengths // GRANULARITY) * GRANULARITY)
 
 
 def _powers_of_two(group: np.ndarray) -> Iterator[np.ndarray]:
-    """13 segments as 8, 4 and 1."""
+    """Split a number of segments into powers of two: 13 into 8, 4 and 1."""
     while len(group):
         size = 1 << (len(group).bit_length() - 1)
         yield group[:size]
@@ -157,7 +157,7 @@ class PaddedLayout:
         self.packed_from_padded = on_device(inverse, device)
 
     def pad(self, x: Tensor) -> list[Tensor]:
-        """[N, H, D] → per bucket [b, H, L, D]."""
+        """Pad [N, H, D] to [b, H, L, D] for each bucket."""
         if not self.trivial:
             x = _regather(x, self.padded_from_packed, self.packed_from_padded)
         pieces = x.split([b * length for b, length in self.shapes])
@@ -166,7 +166,7 @@ class PaddedLayout:
         ]
 
     def unpad(self, pieces: list[Tensor]) -> Tensor:
-        """Per bucket [b, H, L, D] → [N, H, D]."""
+        """Unpad [b, H, L, D] of each bucket to [N, H, D]."""
         rows = [p.transpose(1, 2).flatten(0, 1) for p in pieces]
         x = rows[0] if len(rows) == 1 else torch.cat(rows)
         return x if self.trivial else _regather(x, self.packed_from_padded, self.padded_from_packed)
@@ -201,7 +201,7 @@ _regather: Callable[..., Tensor] = _Regather.apply  # torch's has no types
 def attend(
     q: Float[Tensor, "nq h d"], k: Float[Tensor, "nk h d"], v: Float[Tensor, "nk h d"], pattern: AttentionPattern
 ) -> Float[Tensor, "nq h d"]:
-    """softmax(q kᵀ / √d) v within each segment, by the fastest backend for the device and precision."""
+    """Return softmax(q kᵀ / √d) v within each segment, by the fastest backend for device and precision."""
     backend = attend_bucketed
     if has_varlen_kernel(q):
         backend = attend_equal if pattern.equal_length >= DENSE_FROM else attend_varlen
@@ -218,7 +218,7 @@ def has_varlen_kernel(q: Float[Tensor, "n h d"]) -> bool:
 
 
 def attend_bucketed(q: Tensor, k: Tensor, v: Tensor, pattern: AttentionPattern) -> Tensor:
-    """Dense attention per bucket of similar key lengths."""
+    """Compute dense attention per bucket of similar key lengths."""
     if pattern.keys.unowned:
         k, v = (x[: sum(pattern.keys.lengths)] for x in (k, v))
     qs, ks, vs = pattern.query_layout.pad(q), pattern.key_layout.pad(k), pattern.key_layout.pad(v)
@@ -227,7 +227,7 @@ def attend_bucketed(q: Tensor, k: Tensor, v: Tensor, pattern: AttentionPattern) 
 
 
 def _attend_dense(q: Tensor, k: Tensor, v: Tensor, mask: Tensor | None) -> Tensor:
-    """[b, H, L, D] each; `mask` [b, 1, 1, Lk], True = real. Each case has what is fastest there, by measurement."""
+    """Attend with tensors [b, H, L, D]; `mask` [b, 1, 1, Lk], True = real. Each case uses its fastest kernel."""
     if q.is_cuda or q.dtype == torch.float32:
         return F.scaled_dot_product_attention(q, k, v, attn_mask=mask)
     real = None if mask is None else mask[:, 0].repeat_interleave(q.shape[1], dim=0)
@@ -239,7 +239,7 @@ def _attend_dense(q: Tensor, k: Tensor, v: Tensor, mask: Tensor | None) -> Tenso
 
 
 def _attend_at_once(q: Tensor, k: Tensor, v: Tensor, real: Tensor | None) -> Tensor:
-    """[b·H, L, D] each; `real` [b·H, 1, Lk], False = padding."""
+    """Attend with tensors [b·H, L, D]; `real` [b·H, 1, Lk], False = padding."""
     scores: Tensor = (q * q.shape[-1] ** -0.5) @ k.transpose(-1, -2)
     if real is not None:
         scores = scores.masked_fill(~real, float("-inf"))
@@ -247,7 +247,7 @@ def _attend_at_once(q: Tensor, k: Tensor, v: Tensor, real: Tensor | None) -> Ten
 
 
 def attend_varlen(q: Tensor, k: Tensor, v: Tensor, pattern: AttentionPattern) -> Tensor:
-    """FlashAttention's variable-length kernel on the packed rows (CUDA, half precision)."""
+    """Run FlashAttention's variable-length kernel on the packed rows (CUDA, half precision)."""
     from torch.nn.attention.varlen import varlen_attn
 
     if pattern.keys.unowned:  # nobody reads those rows, and nobody writes their gradients either
@@ -259,7 +259,7 @@ def attend_varlen(q: Tensor, k: Tensor, v: Tensor, pattern: AttentionPattern) ->
 
 
 def attend_equal(q: Tensor, k: Tensor, v: Tensor, pattern: AttentionPattern) -> Tensor:
-    """Dense attention in segments of one length (CUDA, half precision)."""
+    """Compute dense attention in segments of equal length (CUDA, half precision)."""
     heads = [x.unflatten(0, (-1, pattern.equal_length)).transpose(1, 2) for x in (q, k, v)]  # [segments, h, length, d]
     with sdpa_kernel([SDPBackend.CUDNN_ATTENTION, SDPBackend.FLASH_ATTENTION], set_priority=True):
         out: Tensor = F.scaled_dot_product_attention(*heads)

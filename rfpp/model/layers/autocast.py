@@ -9,11 +9,11 @@ from torch import Tensor
 
 
 def as_multiplied(x: Tensor) -> Tensor:
-    """In the dtype that autocast, if it is on, converts to for matrix products. "meta" knows no autocast."""
+    """Convert to the dtype that autocast uses for matrix products, if it is on; "meta" has no autocast."""
     device = x.device.type
     return x.to(torch.get_autocast_dtype(device)) if not x.is_meta and torch.is_autocast_enabled(device) else x
 
 
 def in_float32(x: Tensor) -> AbstractContextManager:
-    """Context in which matrix products are computed in float32. "meta" knows no autocast."""
+    """Return a context in which matrix products are computed in float32; "meta" has no autocast."""
     return nullcontext() if x.is_meta else torch.autocast(x.device.type, enabled=False)

@@ -98,7 +98,7 @@ class CrossAttention(nn.Module):
         self.out_proj = nn.Linear(width, width, bias=False)
 
     def project(self, context: Float[Tensor, "n width"]) -> tuple[Float[Tensor, "n h d"], Float[Tensor, "n h d"]]:
-        """Unrotated keys and values of the context tokens."""
+        """Return unrotated keys and values of the context tokens."""
         k, v = _linears(context, self.kv_proj, 2)
         return _split(self.k_norm(k), self.heads), _split(v, self.heads)
 
@@ -110,7 +110,7 @@ class CrossAttention(nn.Module):
         pattern: AttentionPattern,
         rotation: Rotation | None,
     ) -> Float[Tensor, "n width"]:
-        """`keys` are already rotated; `rotation` is that of the queries."""
+        """Update queries; `keys` are already rotated, `rotation` belongs to the queries."""
         q = rotate(_split(self.q_norm(self.q_proj(x)), self.heads), rotation)
         out: Tensor = self.out_proj(attend(q, keys, values, pattern).flatten(1))
         return out
@@ -201,7 +201,7 @@ def _split(x: Float[Tensor, "n width"], heads: int) -> Float[Tensor, "n h d"]:
 
 
 def _linears(x: Float[Tensor, "n width"], stacked: nn.Linear, parts: int) -> tuple[Tensor, ...]:
-    """Equal parts of a bias-free linear layer's output.
+    """Split a bias-free linear layer's output into equal parts.
 
     A GPU takes them in one product, whose launch costs more than what follows on slices. On a CPU each is contiguous.
     """

@@ -35,7 +35,7 @@ class FrequencyEncoding(nn.Module):
         self.register_buffer("frequencies", 2.0 ** torch.arange(num_frequencies), persistent=False)
 
     def dim(self, inputs: int) -> int:
-        """Encoded size of `inputs` values."""
+        """Return the encoded size of `inputs` values."""
         return inputs * (1 + 2 * len(self.frequencies))
 
     def forward(self, x: Float[Tensor, "n c"]) -> Float[Tensor, "n encoded"]:

@@ -15,7 +15,7 @@ _CPU_INSTRUCTIONS = ("amx_bf16", "avx512_bf16", "bf16")
 
 
 def matrix_dtype(precision: str, device: torch.device) -> torch.dtype:
-    """The dtype of a setting: "bf16", "fp32", or "auto" for bfloat16 where the device has instructions for it.
+    """Return the dtype of "bf16", "fp32", or "auto": bfloat16 if the device has instructions for it.
 
     Images in bfloat16 differ from those in float32 by a thirtieth of what both differ from the reference. Raises
     UserError for another setting.

@@ -69,7 +69,7 @@ def _weights(q: Tensor, k: Tensor, real: Tensor | None, heads: slice, rows: slic
 
 
 def _tiles(q: Tensor, k: Tensor) -> Iterator[tuple[slice, list[slice]]]:
-    """(heads, the tiles of their queries)."""
+    """Yield (heads, tiles of their queries)."""
     (count, queries, _), keys = q.shape, k.shape[1]
     rows = min(_QUERIES, queries, max(_FEWEST_QUERIES, TILE // keys))
     heads = max(1, TILE // (rows * keys))

@@ -45,7 +45,7 @@ def with_backdrop(scene: ImportedScene, backdrop: Backdrop, path: Path) -> Impor
 
 
 def _has_floor(parts: Sequence[Part]) -> bool:
-    """Whether upward faces at the bottom cover half of the scene's base area."""
+    """Return whether upward faces at the bottom cover half of the scene's base area."""
     low, high = bounds(parts)
     highest, area = low[2] + _LOWEST * (high[2] - low[2]), 0.0
     for part in parts:

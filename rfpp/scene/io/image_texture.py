@@ -1,4 +1,4 @@
-"""Textures, averaged over each triangle: a network sees one material on each."""
+"""Textures, averaged over each triangle, because networks take one material per triangle."""
 
 from __future__ import annotations
 
@@ -33,17 +33,18 @@ _PLAIN = (np.arange(256) / 255).astype(np.float32)
 
 
 class ImageTexture:
-    """A picture that repeats in u and v, with ever coarser copies.
+    """Image that repeats in u and v, as a mip map.
 
     Attributes:
-        pixels: how many its file held.
+        pixels: Number of pixels in its file.
 
     Args:
-        color: whether it holds sRGB color, which becomes linear; else plain numbers.
-        left: pixels that its scene may still have.
+        content: Image file.
+        color: The image holds sRGB color, which is made linear; else plain numbers.
+        left: Pixels that the scene may still load.
 
     Raises:
-        SceneError: without a name: no such image, a damaged or an absurdly large one.
+        SceneError: If the image is damaged or too large; without the file's name.
     """
 
     def __init__(self, content: bytes, color: bool, left: int = _MAX_PIXELS) -> None:
@@ -54,7 +55,7 @@ class ImageTexture:
             self._levels.append(level.astype(np.float16))
 
     def means(self, uv: Float[np.ndarray, "f 3 2"]) -> Float[np.ndarray, "f 4"]:
-        """Red, green, blue and alpha of each triangle; (0, 0) is the picture's upper left corner."""
+        """Return red, green, blue and alpha of each triangle; (0, 0) is the image's upper left corner."""
         return np.concatenate([self._means(uv[i : i + _CHUNK]) for i in range(0, len(uv), _CHUNK)])
 
     def _means(self, uv: np.ndarray) -> np.ndarray:
@@ -73,11 +74,7 @@ class ImageTexture:
 
 
 class Textures:
-    """The textures of one file; those used last are kept.
-
-    Attributes:
-        used: how many different ones there were.
-    """
+    """Textures of one scene file, with a cache of the last used."""
 
     def __init__(self) -> None:
         self._seen: set[tuple[Hashable, bool]] = set()
@@ -86,10 +83,11 @@ class Textures:
 
     @property
     def used(self) -> int:
+        """Number of different textures."""
         return len(self._seen)
 
     def get(self, key: Hashable, color: bool, read: Callable[[], bytes]) -> ImageTexture:
-        """The texture that `read` gives the image file of. Raises SceneError like `ImageTexture`, or for too many."""
+        """Return the texture whose file `read` returns. Raises SceneError like `ImageTexture`."""
         if (key, color) not in self._kept:
             texture = ImageTexture(read(), color, _MAX_PIXELS_OF_A_FILE - self._pixels)
             self._pixels += texture.pixels
@@ -102,7 +100,7 @@ class Textures:
 
 
 def require_few_pixels(files: Iterable[io.BufferedIOBase]) -> None:
-    """Raises SceneError where image files, which are closed, have too many pixels together, by their headers alone."""
+    """Close image files; raise SceneError if their headers name too many pixels together."""
     pixels = 0
     for file in files:
         with file, contextlib.suppress(OSError, Image.DecompressionBombError):  # no image: refused when it is read
@@ -113,12 +111,12 @@ def require_few_pixels(files: Iterable[io.BufferedIOBase]) -> None:
 
 
 def linear(srgb: np.ndarray) -> np.ndarray:
-    """8-bit sRGB as linear float32 in [0, 1]."""
+    """Convert 8-bit sRGB to linear float32 in [0, 1]."""
     return _LINEAR[srgb]
 
 
 def _centers() -> np.ndarray:
-    """[36, 3] barycentric coordinates of the centers of the equal parts of a triangle."""
+    """Return barycentric coordinates [36, 3] of the centers of a triangle's equal parts."""
     cells = [(i, j) for i in range(_SIDE) for j in range(_SIDE - i)]
     upright = np.array([(i + 1 / 3, j + 1 / 3) for i, j in cells])
     inverted = np.array([(i + 2 / 3, j + 2 / 3) for i, j in cells if i + j < _SIDE - 1])
@@ -130,7 +128,7 @@ _CENTERS = _centers()
 
 
 def _pixels(content: bytes, color: bool, left: int) -> tuple[Float[np.ndarray, "h w 4"], int]:
-    """What is kept of an image file, and how many pixels it held."""
+    """Return the reduced image, and the number of pixels in its file."""
     try:
         image = _opened(io.BytesIO(content))
         if image.width * image.height > _MAX_PIXELS:
@@ -142,8 +140,8 @@ def _pixels(content: bytes, color: bool, left: int) -> tuple[Float[np.ndarray, "
         raise
     except Image.DecompressionBombError:
         raise SceneError("the image is too large: make it smaller") from None
-    except Exception:  # decoders raise whatever the file makes them stumble over
-        raise SceneError("is not an image that can be read: save it as PNG, JPEG or WebP") from None
+    except Exception:  # decoders raise many kinds of errors
+        raise SceneError("cannot be read as an image: save it as PNG, JPEG or WebP") from None
     width, height = image.size
     step = -(-max(width, height) // _SIDE_KEPT)
     rows = max(1, _STRIP // width // step) * step  # by strips, which fit into the processor's cache
@@ -171,7 +169,7 @@ def _decoded(values: np.ndarray, color: bool) -> np.ndarray:
 
 
 def _reduced(pixels: np.ndarray, step: int) -> np.ndarray:
-    """Means of blocks of step × step; the last row and column are repeated to fill theirs."""
+    """Average blocks of step × step pixels; the last row and column are repeated to complete theirs."""
     if step == 1:
         return pixels
     height, width = pixels.shape[:2]

@@ -10,7 +10,7 @@ from rfpp.scene.spec import Scene
 
 
 def fits_json(scene: Scene | PackedScene) -> bool:
-    """Whether JSON can hold a scene: it has objects, each of one material."""
+    """Return whether JSON can hold a scene: it has objects, each of one material."""
     return isinstance(scene, Scene) and all(item.face_material is None for item in scene.objects)
 
 

@@ -86,7 +86,7 @@ class SceneFamily:
     cameras: CameraSampler
 
     def sample(self, scene_rng: np.random.Generator, camera_rng: np.random.Generator, *, held_out: bool) -> Scene:
-        """Draw a scene: panels background_0, …, objects object_0, …, lights light_0, …
+        """Draw a scene with panels background_0, …, objects object_0, …, and lights light_0, ….
 
         The parts of an object are separate objects of the scene, object_0_0, object_0_1, … Equal generators give equal
         scenes.

@@ -43,7 +43,7 @@ class LightSampler(HasIntervals):
     one_sided: bool = False
 
     def sample(self, rng: np.random.Generator, open_region: OpenRegion) -> list[SceneObject]:
-        """Draw the lights of a scene, named light_0, light_1, …"""
+        """Draw the lights of a scene, named light_0, light_1, …."""
         count = uniform_integer(rng, self.count)
         positions = np.empty((0, 3))
         for _ in range(count):

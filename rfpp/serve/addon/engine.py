@@ -112,8 +112,10 @@ class RfppEngine(bpy.types.RenderEngine):
 
 
 def register() -> None:
+    """Register the classes with Blender."""
     bpy.utils.register_class(RfppEngine)
 
 
 def unregister() -> None:
+    """Unregister the classes."""
     bpy.utils.unregister_class(RfppEngine)

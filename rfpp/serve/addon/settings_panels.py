@@ -88,6 +88,7 @@ def _shared_panels() -> list[type]:
 
 
 def register() -> None:
+    """Register the classes with Blender."""
     for cls in _CLASSES:
         bpy.utils.register_class(cls)
     bpy.types.Scene.rfpp = bpy.props.PointerProperty(type=RfppSettings)
@@ -96,6 +97,7 @@ def register() -> None:
 
 
 def unregister() -> None:
+    """Unregister the classes."""
     for panel in _shared_panels():
         panel.COMPAT_ENGINES.discard(ENGINE)
     del bpy.types.Scene.rfpp

@@ -114,7 +114,7 @@ class StepStatistics(L.Callback):
 
 
 def _memory(device: torch.device) -> dict[str, float]:
-    """Memory use in GiB; resets PyTorch's peak."""
+    """Return memory use in GiB, and reset PyTorch's peak."""
     if device.type != "cuda":
         return {"memory/resident": psutil.Process().memory_info().rss / GIB}
     used = {

@@ -55,7 +55,7 @@ class FolderObjects(LibraryObjects):
         return {"folder": self.name}
 
     def is_prepared(self) -> bool:
-        """Whether the library exists and, if the folder does, holds the same files."""
+        """Return whether the library exists and, if the folder does, holds the same files."""
         if not super().is_prepared():
             return False
         return not self._path.is_dir() or {original.id for original in self.originals()} == self.library().ids

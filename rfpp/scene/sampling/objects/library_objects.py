@@ -107,7 +107,7 @@ class LibraryObjects(ABC):
         return library
 
     def is_prepared(self) -> bool:
-        """Whether the library exists with these settings."""
+        """Return whether the library exists with these settings."""
         try:
             self.library()
         except SceneError:

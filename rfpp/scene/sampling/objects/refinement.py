@@ -25,7 +25,7 @@ def refined(mesh: Mesh, target_faces: int) -> Mesh:
 
 
 def is_closed(mesh: Mesh) -> bool:
-    """Whether every edge touches exactly two faces."""
+    """Return whether every edge touches exactly two faces."""
     _, _, touching = _edges(mesh.faces.astype(np.int64))
     return bool((touching == 2).all())
 

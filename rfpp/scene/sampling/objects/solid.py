@@ -71,7 +71,7 @@ def volume(mesh: Mesh) -> float:
 
 
 def is_solid(mesh: Mesh, least_fill: float) -> bool:
-    """Whether a mesh is closed, faces outwards, has no slivers and fills a minimum share of its bounding box."""
+    """Return whether a mesh is closed, faces outwards, has no slivers and fills enough of its bounding box."""
     fills = volume(mesh) > least_fill * float(np.prod(np.ptp(mesh.vertices, axis=0)))
     return fills and is_closed(mesh) and bool(slimness(mesh).min() > _SLIMMEST)
 
