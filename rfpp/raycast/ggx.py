@@ -1,7 +1,7 @@
 """The glossy lobe of our materials: GGX with height-correlated Smith shadowing and energy-preserving scaling.
 
 No Fresnel term; the specular albedo colors the lobe, as in Cycles' "Multiscatter GGX". All vectors are unit vectors in
-the frame of the shading normal, (..., 3) with z along it; α is the square of the roughness.
+the frame of the shading normal, with z along it; α is the square of the roughness.
 """
 
 from __future__ import annotations
@@ -20,47 +20,13 @@ MIN_ALPHA = 1e-3
 _TABLE = 32  # entries per axis of the energy table
 _TABLE_SAMPLES = 2048
 
-Vectors = Float[np.ndarray, "*batch 3"]
-Scalars = Float[np.ndarray, "*batch"]
-
-
-def lobe(view: Vectors, light: Vectors, alpha: Scalars) -> Scalars:
-    """Return BRDF · cosine of the light's direction for single scattering, uncolored; 0 below the surface."""
-    return _of_pairs(view, light, alpha)[0]
-
-
-def pdf(view: Vectors, light: Vectors, alpha: Scalars) -> Scalars:
-    """Return the density per solid angle with which `sample` draws `light`."""
-    return _of_pairs(view, light, alpha)[1]
-
-
-def sample(view: Vectors, alpha: Scalars, random: Float[np.ndarray, "*batch 2"]) -> Vectors:
-    """Draw directions to light in proportion to visible normals; they may lie below the surface.
-
-    Dupuy and Benyoub, "Sampling Visible GGX Normals with Spherical Caps", 2023.
-    """
-    direction = np.empty((alpha.size, 3))
-    _sample_each(_rows(view), _flat(alpha), np.ascontiguousarray(random, np.float64).reshape(-1, 2), direction)
-    return direction.reshape(*alpha.shape, 3)
-
-
-def multiple_scattering(
-    cosine: Float[np.ndarray, " r"], alpha: Float[np.ndarray, " r"], specular: Float[np.ndarray, "r 3"]
-) -> Float[np.ndarray, "r 3"]:
-    """Return the factor that restores the energy of multiple scattering to the single-scattering lobe.
-
-    1 + F_ms (1 - E) / E with F_ms = s E_avg / (1 - s (1 - E_avg)), where s is the specular albedo, E(cosine, α) the
-    lobe's albedo and E_avg its cosine-weighted mean (Turquin, "Practical Multiple Scattering Compensation for
-    Microfacet Models", 2019, with the color of Kulla and Conty 2017).
-    """
-    factor = np.empty((len(alpha), 3))
-    _scattering_each(_flat(cosine), _flat(alpha), _rows(specular), *lobe_albedo(), factor)
-    return factor
-
 
 @compiled
 def lobe_and_pdf(view: Vector, light: Vector, alpha: float) -> tuple[float, float]:
-    """Return `lobe` and `pdf` of two vectors."""
+    """Return BRDF · cosine of the light's direction, and the density per solid angle with which `sampled` draws it.
+
+    The BRDF is uncolored and of single scattering. Both are 0 below the surface.
+    """
     if view[2] <= 0 or light[2] <= 0:
         return 0.0, 0.0
     x, y, z = unit(view[0] + light[0], view[1] + light[1], view[2] + light[2])
@@ -74,7 +40,10 @@ def lobe_and_pdf(view: Vector, light: Vector, alpha: float) -> tuple[float, floa
 
 @compiled
 def sampled(view: Vector, alpha: float, u: float, v: float) -> Triple:
-    """Draw one direction; see `sample`."""
+    """Draw a direction to light in proportion to visible normals; it may lie below the surface.
+
+    Dupuy and Benyoub, "Sampling Visible GGX Normals with Spherical Caps", 2023.
+    """
     sx, sy, sz = unit(view[0] * alpha, view[1] * alpha, view[2])
     angle = 2 * np.pi * u
     z = (1 - v) * (1 + sz) - sz
@@ -94,30 +63,6 @@ def _smith_lambda(direction: Vector, alpha: float) -> float:
 
 
 @compiled
-def _lobe_and_pdf_each(
-    view: Float[np.ndarray, "r 3"],
-    light: Float[np.ndarray, "r 3"],
-    alpha: Float[np.ndarray, " r"],
-    found: Float[np.ndarray, "2 r"],
-) -> None:
-    for row in range(len(alpha)):
-        found[0, row], found[1, row] = lobe_and_pdf(view[row], light[row], alpha[row])
-
-
-@compiled
-def _sample_each(
-    view: Float[np.ndarray, "r 3"],
-    alpha: Float[np.ndarray, " r"],
-    random: Float[np.ndarray, "r 2"],
-    direction: Float[np.ndarray, "r 3"],
-) -> None:
-    for row in range(len(alpha)):
-        direction[row, 0], direction[row, 1], direction[row, 2] = sampled(
-            view[row], alpha[row], random[row, 0], random[row, 1]
-        )
-
-
-@compiled
 def scattered(
     albedo: Float[np.ndarray, "table table"],
     mean: Float[np.ndarray, " table"],
@@ -125,7 +70,12 @@ def scattered(
     alpha: float,
     specular: float,
 ) -> float:
-    """Return `multiple_scattering` of one surface and color, from the tables of `lobe_albedo`."""
+    """Return the factor that restores the energy of multiple scattering to the lobe, from the tables of `lobe_albedo`.
+
+    1 + F_ms (1 - E) / E with F_ms = s E_avg / (1 - s (1 - E_avg)), where s is the specular albedo, E(cosine, α) the
+    lobe's albedo and E_avg its cosine-weighted mean (Turquin, "Practical Multiple Scattering Compensation for
+    Microfacet Models", 2019, with the color of Kulla and Conty 2017).
+    """
     last = len(mean) - 1
     u, v = np.sqrt(alpha) * last, min(max(cosine, 0.0), 1.0) * last
     i, j = max(min(int(u), last - 1), 0), max(min(int(v), last - 1), 0)  # NaN as an index is any number
@@ -156,50 +106,29 @@ def scattering_growth(
     return (factor - 1) / (factor * specular * (1 - specular * (1 - e_avg)))
 
 
-@compiled
-def _scattering_each(
-    cosine: Float[np.ndarray, " r"],
-    alpha: Float[np.ndarray, " r"],
-    specular: Float[np.ndarray, "r 3"],
-    albedo: Float[np.ndarray, "table table"],
-    mean: Float[np.ndarray, " table"],
-    factor: Float[np.ndarray, "r 3"],
-) -> None:
-    for row in range(len(alpha)):
-        for c in range(3):
-            factor[row, c] = scattered(albedo, mean, cosine[row], alpha[row], specular[row, c])
-
-
-def _of_pairs(view: Vectors, light: Vectors, alpha: Scalars) -> tuple[Scalars, Scalars]:
-    found = np.empty((2, alpha.size))
-    _lobe_and_pdf_each(_rows(view), _rows(light), _flat(alpha), found)
-    return found[0].reshape(alpha.shape), found[1].reshape(alpha.shape)
-
-
-def _rows(vectors: np.ndarray) -> Float[np.ndarray, "n 3"]:
-    return np.ascontiguousarray(vectors, np.float64).reshape(-1, 3)
-
-
-def _flat(numbers: np.ndarray) -> Float[np.ndarray, " n"]:
-    return np.ascontiguousarray(numbers, np.float64).reshape(-1)
-
-
 @cache
 def lobe_albedo() -> tuple[Float[np.ndarray, "table table"], Float[np.ndarray, " table"]]:
     """Return the single-scattering lobe's albedo over (roughness, cosine), and its mean over cosines."""
     roughness = np.linspace(0, 1, _TABLE)
     cosine = np.linspace(0, 1, _TABLE).clip(1e-4)
     alpha = np.maximum(roughness**2, MIN_ALPHA)
-    count = np.arange(_TABLE_SAMPLES)
-    random = np.stack([(count + 0.5) / _TABLE_SAMPLES, count * GOLDEN % 1], axis=-1)
     albedo = np.empty((_TABLE, _TABLE))
-    for row in range(_TABLE):
-        view = np.stack([np.sqrt(1 - cosine**2), np.zeros(_TABLE), cosine], axis=-1)
-        view = np.broadcast_to(view, (_TABLE_SAMPLES, _TABLE, 3))
-        alphas = np.full(view.shape[:-1], alpha[row])
-        light = sample(view, alphas, np.broadcast_to(random[:, None], (_TABLE_SAMPLES, _TABLE, 2)))
-        value, density = _of_pairs(view, light, alphas)
-        albedo[row] = np.divide(value, density, out=np.zeros_like(value), where=density > 0).mean(0)
+    _fill_in(alpha, cosine, albedo)
     fine = (np.arange(8 * _TABLE) + 0.5) / (8 * _TABLE)
     curves = np.stack([np.interp(fine, cosine, row) for row in albedo])
     return albedo, 2 * (curves * fine).mean(axis=1)
+
+
+@compiled
+def _fill_in(
+    alpha: Float[np.ndarray, " table"], cosine: Float[np.ndarray, " table"], albedo: Float[np.ndarray, "table table"]
+) -> None:
+    for row in range(_TABLE):
+        for column in range(_TABLE):
+            view, total = (np.sqrt(1 - cosine[column] ** 2), 0.0, cosine[column]), 0.0
+            for count in range(_TABLE_SAMPLES):
+                light = sampled(view, alpha[row], (count + 0.5) / _TABLE_SAMPLES, count * GOLDEN % 1)
+                value, density = lobe_and_pdf(view, light, alpha[row])
+                if density > 0:
+                    total += value / density
+            albedo[row, column] = total / _TABLE_SAMPLES

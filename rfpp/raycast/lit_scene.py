@@ -93,7 +93,7 @@ def surface_at(
 
 @compiled
 def scattering(scene: LitScene, cosine: float, alpha: float, specular: float) -> float:
-    """Return the factor of `rfpp.raycast.ggx.multiple_scattering` for one surface and color."""
+    """Return the factor of `rfpp.raycast.ggx.scattered` for one surface and color."""
     return ggx.scattered(scene.albedo, scene.mean_albedo, cosine, alpha, specular)
 
 

@@ -17,36 +17,14 @@ ROOM = 10
 BLOCK = 512
 
 
-def form_factor(
-    points: Float[np.ndarray, "r 3"], normals: Float[np.ndarray, "r 3"], corners: Float[np.ndarray, "e 3 3"]
-) -> Float[np.ndarray, "r e"]:
-    """Return the unoccluded irradiance / (π · radiance) at each point from each triangle, from either of its sides.
+@compiled
+def of_triangle(point: Vector, normal: Vector, corners: Float[np.ndarray, "3 3"]) -> float:
+    """Return the unoccluded irradiance / (π · radiance) at a point from either side of a triangle.
 
-    The part of a triangle below the horizon of `normals` is clipped. The factor is the sum over the edges of angle ·
+    The part of the triangle below the horizon of `normal` is clipped. The factor is the sum over the edges of angle ·
     (unit normal of the plane through point and edge) · surface normal / 2π (Lambert 1760; Baum et al. 1989 for the
     clipping).
     """
-    factors = np.empty((len(points), len(corners)))
-    points, normals, corners = (np.ascontiguousarray(x, np.float64) for x in (points, normals, corners))
-    _each(points, normals, corners, factors)
-    return factors
-
-
-@compiled
-def _each(
-    points: Float[np.ndarray, "r 3"],
-    normals: Float[np.ndarray, "r 3"],
-    corners: Float[np.ndarray, "e 3 3"],
-    factors: Float[np.ndarray, "r e"],
-) -> None:
-    for row in range(len(points)):
-        for triangle in range(len(corners)):
-            factors[row, triangle] = of_triangle(points[row], normals[row], corners[triangle])
-
-
-@compiled
-def of_triangle(point: Vector, normal: Vector, corners: Float[np.ndarray, "3 3"]) -> float:
-    """Return the form factor of one triangle at one point; see `form_factor`."""
     a, b, c = _away(point, corners[0]), _away(point, corners[1]), _away(point, corners[2])
     above_a, above_b, above_c = dot(a, normal), dot(b, normal), dot(c, normal)
     if above_a <= 0 and above_b <= 0 and above_c <= 0:

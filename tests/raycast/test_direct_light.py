@@ -8,13 +8,13 @@ from known_scenes import LIGHT, look_at, material, moved, pack, rigid_motion, sp
 from marks import requires_blender
 from reference_presets import preset
 from scene_families import draw, family
-from slow_light import direct_light
+from slow_light import direct_light, form_factor
 
 from rfpp.raycast import surface, threads
 from rfpp.raycast.first_hit import DirectLight, GBuffer, channel, first_hit, stack_channels
 from rfpp.raycast.known_light import with_known_light
 from rfpp.raycast.light_sampler import LightSampler
-from rfpp.raycast.polygon_light import ROOM, form_factor, unhidden_each
+from rfpp.raycast.polygon_light import ROOM, unhidden_each
 from rfpp.reference.cycles import CyclesSettings, render_passes
 from rfpp.scene.camera import camera_to_world
 from rfpp.scene.io.loading import load_scene
@@ -44,8 +44,8 @@ def test_a_small_triangle_far_away_is_a_point_light():
     expected = (
         np.linalg.norm(cross) / 2 * abs(cross @ direction) / np.linalg.norm(cross) * direction[2] / distance**4 / np.pi
     )
-    got = form_factor(np.zeros((1, 3)), np.array([[0, 0, 1.0]]), corners)
-    assert got[0, 0] == pytest.approx(expected, rel=1e-3)
+    got = form_factor(np.zeros(3), np.array([0, 0, 1.0]), corners)
+    assert got[0] == pytest.approx(expected, rel=1e-3)
 
 
 def test_light_all_around_a_point_gives_one_whatever_the_normal():
@@ -53,7 +53,7 @@ def test_light_all_around_a_point_gives_one_whatever_the_normal():
     normals = np.random.default_rng(0).normal(size=(20, 3))
     normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
     points = np.random.default_rng(1).uniform(-0.5, 0.5, (20, 3))
-    np.testing.assert_allclose(form_factor(points, normals, shell).sum(1), 1, rtol=1e-6)
+    np.testing.assert_allclose(form_factor(points[:, None], normals[:, None], shell).sum(1), 1, rtol=1e-6)
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -70,7 +70,7 @@ def test_triangles_cut_by_the_horizon_match_numeric_integration(seed):
     cross = np.cross(b - a, c - a)
     distance2 = (points**2).sum(-1)
     expected = (np.abs(points @ cross) / 2 * points[:, 2].clip(0) / distance2**2).mean() / np.pi
-    assert form_factor(np.zeros((1, 3)), normal, corners)[0, 0] == pytest.approx(expected, rel=5e-3, abs=1e-6)
+    assert form_factor(np.zeros(3), normal[0], corners)[0] == pytest.approx(expected, rel=5e-3, abs=1e-6)
 
 
 def test_an_open_floor_carries_no_noise_and_a_roof_makes_it_dark():
@@ -153,7 +153,7 @@ def test_light_at_many_points_at_once_is_that_at_each(lamp):
     above = (np.einsum("rk,ecrk->rec", normals, scene.corners[:, :, None] - points) > 0).reshape(len(points), -1)
     assert (above.any(1) & ~above.all(1)).mean() > 0.1  # horizons that cut the lamp
     shines = ((scene.corners[:, 0] - points[:, None]) * scene.facing).sum(-1) < 0 if scene.solid[0] else True
-    expected = (form_factor(points, normals, scene.corners) * shines).sum(1)
+    expected = (form_factor(points[:, None], normals[:, None], scene.corners) * shines).sum(1)
     found = np.full((ROOM, len(points)), np.nan)
     for start, stop in ((0, 7), (7, 1200), (1200, len(points))):
         unhidden_each(start, stop, scene, 0, points, normals, start, found)

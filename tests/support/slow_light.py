@@ -1,15 +1,27 @@
 """Light as NumPy would gather it, with more samples than anyone wants: the twin of the compiled loops."""
 
+from functools import partial
+
 import numpy as np
 
 from rfpp.radiosity.cell_grid import CellGrid
 from rfpp.radiosity.cell_table import DIRECTIONS, FLAT, SIDES
 from rfpp.raycast import ggx
 from rfpp.raycast.lit_scene import CLEARANCE
+from rfpp.raycast.polygon_light import of_triangle
 from rfpp.raycast.raycast import RayCaster
 from rfpp.raycast.surface import Surface
 from rfpp.raycast.vectors import tangents
 from rfpp.scene.triangles import EMISSION, SceneTriangles
+
+#: Many directions, points and triangles: a row of each function's results for each.
+lobes = np.vectorize(ggx.lobe_and_pdf, signature="(3),(3),()->(),()")
+samples_of = np.vectorize(lambda *drawn: np.array(ggx.sampled(*drawn)), signature="(3),(),(),()->(3)")
+form_factor = np.vectorize(of_triangle, signature="(3),(3),(3,3)->()")
+
+
+def multiple_scattering(cosine: np.ndarray, alpha: np.ndarray, specular: np.ndarray) -> np.ndarray:
+    return np.vectorize(partial(ggx.scattered, *ggx.lobe_albedo()))(cosine, alpha, specular)
 
 
 def direct_light(scene: SceneTriangles, surface: Surface, samples: int, rng: np.random.Generator) -> np.ndarray:
@@ -18,7 +30,7 @@ def direct_light(scene: SceneTriangles, surface: Surface, samples: int, rng: np.
     frame = np.array([[*tangents(normal), normal] for normal in surface.normal])
     found = np.zeros((2, len(surface), 3))
     view = np.einsum("rkx,rx->rk", frame, surface.view)
-    scale = ggx.multiple_scattering(view[:, 2], surface.alpha, surface.specular)
+    scale = multiple_scattering(view[:, 2, None], surface.alpha[:, None], surface.specular)
     for emitter in np.flatnonzero(scene.is_emissive):
         a, b, c = scene.positions[emitter].astype(np.float64)
         cross = np.cross(b - a, c - a)
@@ -32,7 +44,7 @@ def direct_light(scene: SceneTriangles, surface: Surface, samples: int, rng: np.
             solid = np.abs(direction @ cross) / 2 / distance**2 * clear / samples
             radiance = scene.material[emitter, EMISSION].astype(np.float64)
             found[0] += (solid * light[:, 2] / np.pi)[:, None] * radiance
-            found[1] += (solid * ggx.lobe(view, light, surface.alpha))[:, None] * radiance * scale
+            found[1] += (solid * lobes(view, light, surface.alpha)[0])[:, None] * radiance * scale
     return found
 
 
