@@ -30,6 +30,7 @@ from rfpp.checkpoint.network_building import shapes_of
 from rfpp.commands import entry_point, write_config
 from rfpp.metrics.image import ImageMetrics
 from rfpp.training.blocks import compile_blocks
+from rfpp.training.callbacks.divergence import DivergenceError
 from rfpp.training.callbacks.finite_gradients import NonFiniteGradientError
 from rfpp.training.checkpoint_files import AUTO, checkpoint_to_resume, point_at
 from rfpp.training.module import RenderingModule
@@ -120,7 +121,7 @@ def main(cfg: DictConfig) -> Path | None:
                 tags |= {"run_dir": str(run_dir), "mlflow.note.content": f"```\n{summary}\n```"}
                 logger.describe(config, config_file, data, tags)
             trainer.fit(module, datamodule, ckpt_path=resumed, weights_only=True)
-    except (StoppedError, NonFiniteGradientError) as stop:
+    except (StoppedError, NonFiniteGradientError, DivergenceError) as stop:
         if not is_first:
             return None  # raised on all ranks, reported by the first
         if isinstance(stop, StoppedError):
