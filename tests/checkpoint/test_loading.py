@@ -120,7 +120,7 @@ def test_a_configuration_that_no_network_has_is_refused_at_once(tmp_path, path, 
     [
         ({"model": {"_target_": "rfpp.model.exposure.UnitExposure"}}, "describes no network"),
         ({"model": [1, 2]}, "model: Input should be a valid dictionary"),
-        ({"resolution": [0, 16]}, "was trained at (0, 16) pixels"),
+        ({"resolution": [0, 16]}, "claims training at (0, 16) pixels"),
         ({"resolution": 16}, "resolution: "),
         ({"seed": "first"}, "seed: "),
         ({"surprise": 1}, "surprise: "),

@@ -212,7 +212,7 @@ def test_a_data_set_is_resumed_after_its_code_has_moved(tmp_path):
 
 def test_a_full_disk_names_the_shard_and_keeps_finished_ones(tmp_path, finished, monkeypatch):
     def full_after_first(descriptor: int) -> None:
-        if (tmp_path / "train-00000.tar").exists():
+        if (tmp_path / "train-00000.json").exists():
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     with monkeypatch.context() as patch:

@@ -5,7 +5,9 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import lightning as L
 import pytest
@@ -95,14 +97,16 @@ class Steps(L.Trainer):
 
     world_size, is_global_zero, accumulate_grad_batches = 1, True, 2
     global_step = max_steps = 0
+    strategy = SimpleNamespace(checkpoint_io=SimpleNamespace(wait=lambda: None))
 
     def __init__(self, monkeypatch, steps: int, seconds: float, saving: float):
         self.max_steps, self.seconds, self.saving, self.now = steps, seconds, saving, 1000.0
         self.saved: list[int] = []
         monkeypatch.setattr(resumable_checkpoints, "monotonic", lambda: self.now)
 
-    def save_checkpoint(self, path: Path) -> None:
+    def save_checkpoint(self, path: Path, storage_options: Callable[[], None]) -> None:
         path.touch()
+        storage_options()
         self.saved.append(self.global_step)
         self.now += self.saving
 

@@ -76,10 +76,10 @@ def claiming(width: int, height: int) -> bytes:
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (b"", "is not an image"),
-        (b"GIF89a", "is not an image"),
-        (b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 9 9\n", "is not an image"),
-        (png(halves(64))[:-60], "is not an image"),
+        (b"", "cannot be read as an image"),
+        (b"GIF89a", "cannot be read as an image"),
+        (b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 9 9\n", "cannot be read as an image"),
+        (png(halves(64))[:-60], "cannot be read as an image"),
         (claiming(9000, 9000), "9000 x 9000 pixels is too large"),
         (claiming(2**31 - 1, 2**31 - 1), "too large"),
     ],
