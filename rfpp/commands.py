@@ -7,6 +7,7 @@ import functools
 import os
 import re
 import sys
+import time
 import warnings
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
@@ -93,6 +94,8 @@ def entry_point(
         @functools.wraps(reporting)
         def command() -> Result:
             sys.argv[1:] = with_scenes(without_plus(sys.argv[1:]))
+            if {"-m", "--multirun"} & {*sys.argv}:  # Hydra resolves the time for each run anew; they share a folder
+                os.environ.setdefault("RFPP_SWEEP", time.strftime("%Y-%m-%d_%H-%M-%S"))
             os.environ["HYDRA_FULL_ERROR"] = "1"  # Hydra then raises its errors, and keeps tracebacks of defects
             try:
                 return composed()
