@@ -24,7 +24,7 @@ def render(scene: PackedScene, resolution: int, samples: int, seed: int = 0) -> 
     import mitsuba  # optional
 
     mitsuba.set_variant("scalar_rgb")
-    described = {"type": "scene", "integrator": {"type": "path", "max_depth": -1, "rr_depth": 64}}
+    described = {"type": "scene", "integrator": {"type": "path", "max_depth": -1, "rr_depth": 16}}
     loaded = mitsuba.load_dict(described | _shapes(mitsuba, scene))
     images = []
     for c2w, fov in zip(scene.c2w, scene.fov, strict=True):

@@ -28,7 +28,7 @@ from rfpp.shards.consistency import (
 )
 
 #: Raised whenever a member, a dtype or a meaning changes; data of another version is refused.
-SCHEMA_VERSION = 9
+SCHEMA_VERSION = 10
 
 #: Number of a sample's views → indices of the views to read.
 ViewChoice = Callable[[int], Iterable[int]]

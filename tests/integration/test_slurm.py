@@ -75,7 +75,8 @@ def test_slurm_signals_before_the_time_limit(slurm, tmp_path):
     [stopped] = [line for line in log.splitlines() if "stopped by SIGUSR1" in line]
     assert f"of 190: job {job} is requeued" in stopped  # what Slurm says of it may follow in the same line
     step = int(stopped.split("after step ")[1].split()[0])
-    assert f"Resumes  {step_file(run_dir / 'checkpoints', step)}" in "".join(log.splitlines())
+    resumed = f"Resumes  {step_file(run_dir / 'checkpoints', step)}" in "".join(log.splitlines())
+    assert resumed == (step > 0)  # on a busy machine the first step may not have ended
     assert torch.load(run_dir / "checkpoints" / "last.ckpt", weights_only=True)["global_step"] == 190
 
 

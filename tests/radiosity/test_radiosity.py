@@ -143,7 +143,7 @@ def settings(bounces: int) -> CyclesSettings:
         clamp_direct=0.0,
         clamp_indirect=0.0,
         caustics=True,
-        blur_glossy=1.0,
+        blur_glossy=0.1,
         light_threshold=0.0,
         filter_width=1.5,
         seed=0,

@@ -103,7 +103,7 @@ def test_agrees_with_the_first_of_cycles_indirect_bounces(in_process, name):
     exact = {
         "samples": 512, "denoise": False, "adaptive_threshold": 0.0, "light_threshold": 0.0, "max_bounces": 1,
         "diffuse_bounces": 1, "glossy_bounces": 1, "clamp_direct": 0.0, "clamp_indirect": 0.0, "caustics": True,
-        "blur_glossy": 1.0, "filter_width": 0.01, "threads": 1,
+        "filter_width": 0.01, "threads": 1,
     }  # fmt: skip
     settings = preset("preview") | exact
     one_view = (pose[None].astype(np.float32), np.array([fov], np.float32))
