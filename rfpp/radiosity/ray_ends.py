@@ -2,8 +2,7 @@
 
 Light that arrives at a cell leaves it in all directions alike; what a glossy surface reflects does not. Each ray
 therefore has two cells: the one in which it ends, and the one in which its continuation along the glossy lobe ends
-("extended" form factors, Sillion and Puech 1989). Glossy surfaces are blurred when seen by other surfaces, as in the
-reference images (Cycles' Filter Glossy).
+("extended" form factors, Sillion and Puech 1989). Glossy surfaces are blurred when seen by other surfaces.
 """
 
 from __future__ import annotations

@@ -7,7 +7,7 @@ by multiple importance sampling.
 
 Reflections are part of T² L_e: the glossy lobe at the first hit, the whole material at the second. Rays are drawn from
 the lobe. A rough surface that reflects a small highlight would sparkle, because few of its rays find it; the glossier
-surface is then blurred, as in the reference images (Cycles' Filter Glossy).
+surface is then blurred (`lit_scene.blurred`).
 
 Every pixel sends a few shadow rays to each light. Pixels near shadow edges and in highlights send the rest.
 """
