@@ -1,5 +1,6 @@
 """The documentation: its site builds, links and commands exist, and texts stay short."""
 
+import ast
 import re
 import subprocess
 import sys
@@ -71,6 +72,14 @@ def test_texts_stay_short():
 
     assert len((ROOT / "README.md").read_text(encoding="utf-8").splitlines()) <= 100
     assert words("docs/*.md", "data/*.md") <= 12_000
+
+
+def test_docstrings_begin_with_a_noun_or_a_verb():
+    documented = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
+    for path in ROOT.glob("rfpp/**/*.py"):
+        nodes = [node for node in ast.walk(ast.parse(path.read_text("utf-8"))) if isinstance(node, documented)]
+        first_words = [(ast.get_docstring(node) or "").partition(" ")[0] for node in nodes]
+        assert not {"What", "Of", "How", "As", "Whether", "Where"} & set(first_words), path
 
 
 def test_commit_hooks_run_the_tools_of_make_check():

@@ -1,4 +1,4 @@
-"""What a network learns from: images of a scene, and light at its surfaces."""
+"""Labels of a scene for training: its images, and light at its surfaces."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""What a scene is: objects, materials, cameras, and the triangles that everything else reads."""
+"""Scenes: objects, materials, cameras, and the triangles that everything else reads."""

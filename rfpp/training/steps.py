@@ -78,7 +78,7 @@ class _Losses(nn.Module):
 
 
 class _Memory(NamedTuple):
-    """What all graphs share: they are replayed one at a time, and their outputs read before the next."""
+    """Memory shared by all graphs: they are replayed one at a time, and their outputs read before the next."""
 
     pool: tuple[int, int]
     gradients: Tensor

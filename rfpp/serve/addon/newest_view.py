@@ -28,7 +28,7 @@ class Newest:
 
     @property
     def is_busy(self) -> bool:
-        """Whether another picture will follow."""
+        """True if another picture will follow."""
         with self._lock:
             return self._thread is not None
 

@@ -28,7 +28,7 @@ class Viewport:
 
     @property
     def is_busy(self) -> bool:
-        """Whether another picture will follow."""
+        """True if another picture will follow."""
         return bool(self._newest and self._newest.is_busy)
 
     def update(self, depsgraph) -> None:

@@ -1,1 +1,1 @@
-"""Where object meshes come from: procedural solids, a folder of meshes, furniture, Objaverse."""
+"""Sources of object meshes: procedural solids, a folder of meshes, furniture, Objaverse."""
