@@ -25,6 +25,8 @@ _STEP = 0.02
 class DifferentiableRenderer:
     """Renders as its renderer does, into tensors with gradients by materials of objects.
 
+    Example::
+
         renderer = DifferentiableRenderer(Renderer.load("radiosity", precision="fp32"))
         color = torch.tensor([0.5, 0.5, 0.5], requires_grad=True)
         image = renderer.render(scene, {"ball": {"diffuse": color}}, resolution=64)

@@ -29,6 +29,8 @@ from rfpp.scene.spec import Camera, Scene
 class Renderer:
     """Renders scenes with RenderFormer++, RenderFormer or radiosity.
 
+    Example::
+
         renderer = Renderer.load("radiosity")
         images = renderer.render("data/scenes/cornell_box.json")
 

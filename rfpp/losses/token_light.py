@@ -12,7 +12,7 @@ from rfpp.imaging.radiance import log_encode
 
 
 class TokenLight(nn.Module):
-    """Mean |W ⁽ᵏ⁾F_s + b − log10(1 + E_k / π)| over k = 1 … K, tokens and colors. Ours, not the paper's.
+    """Mean `|W ⁽ᵏ⁾F_s + b − log10(1 + E_k / π)|` over k = 1 … K, tokens and colors. Ours, not the paper's.
 
     Query q of an object stands for its surfaces that face octant q, and E_k is their mean irradiance after k bounces.
     The linear decoder is trained with the network and not part of it.

@@ -64,17 +64,17 @@ METRICS = MappingProxyType(
 
 
 def log_l1(prediction: Images, reference: Images) -> PerImage:
-    """Compute mean |log10(1 + x) - log10(1 + y)|."""
+    """Compute mean `|log10(1 + x) - log10(1 + y)|`."""
     return (log_encode(prediction) - log_encode(reference)).abs().flatten(1).mean(dim=1)
 
 
 def l1(prediction: Images, reference: Images) -> PerImage:
-    """Compute mean |x - y| of linear radiance."""
+    """Compute mean `|x - y|` of linear radiance."""
     return (prediction - reference).abs().flatten(1).mean(dim=1)
 
 
 def mape(prediction: Images, reference: Images) -> PerImage:
-    """Compute mean |x - y| / (|y| + 0.01) of linear radiance, as a fraction."""
+    """Compute mean `|x - y| / (|y| + 0.01)` of linear radiance, as a fraction."""
     return ((prediction - reference).abs() / (reference.abs() + MAPE_EPS)).flatten(1).mean(dim=1)
 
 
@@ -99,7 +99,7 @@ def ssim(prediction: Images, reference: Images) -> PerImage:
 
 
 def gradient(prediction: Images, reference: Images) -> PerImage:
-    """Compute the error of edges and textures: mean |∂I(x) - ∂I(y)| of tone-mapped images.
+    """Compute the error of edges and textures: mean `|∂I(x) - ∂I(y)|` of tone-mapped images.
 
     ∂ is the difference of neighboring pixels. Means along rows and along columns are averaged.
     """

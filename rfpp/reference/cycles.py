@@ -46,7 +46,7 @@ _SYSTEM_LIBRARIES = "libxrender1 libxfixes3 libxi6 libxkbcommon0 libsm6 libgl1"
 
 @dataclass(frozen=True)
 class CyclesSettings:
-    """All settings of a reference image. Values are in conf/reference/*.yaml.
+    """All settings of a reference image. Values are in `conf/reference`.
 
     Attributes:
         samples: maximum number of paths per pixel.
