@@ -1,10 +1,12 @@
-"""Render a gallery: a renderer beside Cycles, converged and in the same time."""
+"""Render a gallery: models beside Cycles, converged and in the same time."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+
+import numpy as np
 
 from rfpp.benchmark.csv_rows import Row
 from rfpp.benchmark.methods import ByCycles, ByRenderer, errors
@@ -14,7 +16,7 @@ from rfpp.scene.packed import PackedScene
 
 
 def measure(
-    checkpoint: str,
+    checkpoints: Sequence[str],
     exhibits: Mapping[str, PackedScene],
     resolution: int,
     reference: CyclesSettings,
@@ -23,50 +25,52 @@ def measure(
     picture: str,
     progress: Callable[[int, int], None],
 ) -> Iterator[Row]:
-    """Yield a row per scene with seconds and errors of both; then save a sheet of all images.
+    """Yield a row per scene and checkpoint with seconds and errors of both; then save a sheet of all images.
 
-    All methods are warm, have not rendered the scene before, and run alone. The renderer's time includes ray casting;
-    the time of Cycles includes building the scene.
+    All methods are warm, have not rendered the scene before, and run alone. A renderer's time includes ray casting;
+    the time of Cycles includes building the scene. The sheet shows Cycles in the time of the last checkpoint.
     """
-    name = Path(checkpoint).name
+    names = {checkpoint: Path(checkpoint).name for checkpoint in checkpoints}
     scenes = [[scene] for scene in exhibits.values()]
-    methods = {"renderer": ByRenderer(checkpoint, {}), "reference": ByCycles(reference)}
+    methods: dict[str | int, ByRenderer | ByCycles] = {one: ByRenderer(one, {}) for one in checkpoints}
+    methods |= {"reference": ByCycles(reference)}
     methods |= {count: ByCycles(replace(cycles, samples=count)) for count in samples}
-    results = {}
+    results: dict[str | int, list[tuple[np.ndarray, float]]] = {}
     for number, (key, method) in enumerate(methods.items(), start=1):
         results[key] = [(images[0], seconds) for [(images, seconds)] in method(scenes, resolution)]
         progress(number * len(scenes), len(methods) * len(scenes))
-    headings = ("Cycles converged", name, f"error of {name}", "Cycles in the same time", "error of Cycles")
-    columns: dict[str, list[Picture]] = {heading: [] for heading in headings}
+    columns: dict[str, list[Picture]] = {}
     captions = []
     for place, (title, scene) in enumerate(exhibits.items()):
-        (image, seconds), (truth, reference_s) = results["renderer"][place], results["reference"][place]
-        count = affordable({count: results[count][place][1] for count in samples}, seconds)
-        traced, cycles_s = results[count][place]
-        row = {
-            "scene": title,
-            "triangles": len(scene.triangles),
-            "objects": scene.triangles.num_objects,
-            "resolution": resolution,
-            "method": name,
-            "seconds": seconds,
-            **errors(image, truth),
-            "cycles_samples": count,
-            "cycles_s": cycles_s,
-            **{f"cycles_{metric}": error for metric, error in errors(traced, truth).items()},
-            "reference_samples": reference.samples,
-            "reference_s": reference_s,
-        }
-        tiles = [tone_mapped(truth)]
-        for compared in (image, traced):
-            tiles += [tone_mapped(compared), error_map(compared, truth)]
-        for heading, tile in zip(headings, tiles, strict=True):
-            columns[heading].append(tile)
+        truth, reference_s = results["reference"][place]
+        tiles = {"Cycles converged": tone_mapped(truth)}
+        for checkpoint, name in names.items():
+            image, seconds = results[checkpoint][place]
+            count = affordable({count: results[count][place][1] for count in samples}, seconds)
+            traced, cycles_s = results[count][place]
+            own, theirs = errors(image, truth), errors(traced, truth)
+            yield {
+                "scene": title,
+                "triangles": len(scene.triangles),
+                "objects": scene.triangles.num_objects,
+                "resolution": resolution,
+                "method": name,
+                "seconds": seconds,
+                **own,
+                "cycles_samples": count,
+                "cycles_s": cycles_s,
+                **{f"cycles_{metric}": error for metric, error in theirs.items()},
+                "reference_samples": reference.samples,
+                "reference_s": reference_s,
+            }
+            tiles |= {name: tone_mapped(image), f"error of {name}": error_map(image, truth)}
+        tiles |= {"Cycles in the same time": tone_mapped(traced), "error of Cycles": error_map(traced, truth)}
+        for heading, tile in tiles.items():
+            columns.setdefault(heading, []).append(tile)
         captions.append(
-            "{scene}: Cycles {reference_s:.1f} s for {reference_samples} samples; {method} {seconds:.2f} s, FLIP "
-            "{flip:.3f}; Cycles {cycles_s:.2f} s for {cycles_samples} spp, FLIP {cycles_flip:.3f}".format(**row)
+            f"{title}: Cycles {reference_s:.1f} s for {reference.samples} samples; {name} {seconds:.2f} s, FLIP "
+            f"{own['flip']:.3f}; Cycles {cycles_s:.2f} s for {count} spp, FLIP {theirs['flip']:.3f}"
         )
-        yield row
     save_picture(panel(columns, captions), Path(picture))
 
 

@@ -41,7 +41,7 @@ def test_sample_counts_are_chosen_for_each_scene(untrained, tmp_path, monkeypatc
 
     monkeypatch.setattr(methods, "path_traced", traced)
     picture = str(tmp_path / "g.png")
-    rows = list(measure(untrained, EXHIBITS, 16, REFERENCE, REFERENCE, [1, 2, 4], picture, lambda *_: None))
+    rows = list(measure([untrained], EXHIBITS, 16, REFERENCE, REFERENCE, [1, 2, 4], picture, lambda *_: None))
     assert [row["cycles_samples"] for row in rows] == [2, 4]
     for row in rows:
         expected = errors(images[row["cycles_samples"]], images[REFERENCE.samples])
@@ -53,7 +53,7 @@ def test_sample_counts_are_chosen_for_each_scene(untrained, tmp_path, monkeypatc
 def test_a_row_and_a_line_of_pictures_for_each_scene(untrained, tmp_path):
     turns, picture = [], tmp_path / "g.png"
     rows = list(
-        measure(untrained, EXHIBITS, 16, REFERENCE, REFERENCE, [1, 2], str(picture), lambda *turn: turns.append(turn))
+        measure([untrained], EXHIBITS, 16, REFERENCE, REFERENCE, [1, 2], str(picture), lambda *turn: turns.append(turn))
     )
     assert turns == [(2, 8), (4, 8), (6, 8), (8, 8)]
     assert [(row["scene"], row["method"]) for row in rows] == [("six", "net"), ("drawn", "net")]
