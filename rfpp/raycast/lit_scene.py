@@ -139,8 +139,8 @@ def alpha_of(scene: LitScene, triangle: int) -> float:
 def blurred(alpha: float, density: float) -> float:
     """Return α of a surface hit by rays of this density per solid angle: at least √(1 - density) / 4.
 
-    Few rays find a small highlight. Blurring it, as in Cycles' Filter Glossy, gives light from every ray; twice this
-    blur loses 2% of the light of scenes with mirrors, half of it leaves blotches.
+    Few rays find a small highlight, which leaves blotches. Blurring it, as in Cycles' Filter Glossy, gives light from
+    every ray; twice this blur loses 2% more of the light of a scene with a mirror.
     """
     spread: float = np.sqrt(max(1 - density, 0.0))
     return max(alpha, 0.25 * spread)

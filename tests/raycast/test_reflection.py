@@ -101,7 +101,7 @@ def test_agrees_with_the_first_of_cycles_indirect_bounces(in_process, name):
         scene, camera = SceneTriangles.from_scene(described), described.cameras[0]
         pose, fov = camera_to_world(camera), float(camera.fov)
     exact = {
-        "samples": 512, "denoise": False, "adaptive_threshold": 0.0, "light_threshold": 0.0, "max_bounces": 1,
+        "samples": 2048, "denoise": False, "adaptive_threshold": 0.0, "light_threshold": 0.0, "max_bounces": 1,
         "diffuse_bounces": 1, "glossy_bounces": 1, "clamp_direct": 0.0, "clamp_indirect": 0.0, "caustics": True,
         "filter_width": 0.01, "threads": 1,
     }  # fmt: skip
@@ -113,5 +113,5 @@ def test_agrees_with_the_first_of_cycles_indirect_bounces(in_process, name):
     gbuffer = reflecting(scene, pose, samples=8192, size=40, fov=fov)
     ours = channel(gbuffer, scene.material, fov, "specular") * gbuffer.reflection.light
     ours, expected = np.minimum(ours, 1), np.minimum(expected, 1)  # single pixels see a lamp in two mirrors
-    assert np.abs(ours - expected).mean() / expected.mean() < 0.14  # a third of it is the noise of either
+    assert np.abs(ours - expected).mean() / expected.mean() < 0.12  # a third of it is the noise of either
     assert ours.mean() == pytest.approx(expected.mean(), rel=0.07)
