@@ -9,7 +9,7 @@ from jaxtyping import Float, Int
 
 from rfpp.radiosity.cell_table import NOWHERE, CellTable, cell_at
 from rfpp.raycast.compiled import compiled, int64
-from rfpp.raycast.counted_random import Key, key_of, uniform
+from rfpp.raycast.counted_random import TILE, Key, key_of, tile_of, uniform
 from rfpp.raycast.ggx import lobe_and_pdf
 from rfpp.raycast.light_loops import direct_at, draw_lobe, rays_to_all
 from rfpp.raycast.lit_scene import (
@@ -40,8 +40,6 @@ from rfpp.raycast.vectors import (
     triple,
 )
 
-#: Pixels along each side of a tile.
-_TILE = 4
 #: Random numbers of a key: for the continuation, for its absorption, for the light there.
 _WAY_U, _WAY_V, _SENT, _LIGHT = 0, 1, 2, 3
 
@@ -202,16 +200,15 @@ def cells_seen(
     rays, traced = diffuse.shape[1], trace.triangle.shape[1] > 0
     for pixel in range(start, stop):
         own_key = key_of(key, pixel)
-        y, x = pixel // width, pixel % width
-        # the rays of a tile's pixels form one lattice: neighbors complement each other
-        of_tile = key_of(key_of(key, -1), y // _TILE * width + x // _TILE)
-        place = y % _TILE * _TILE + x % _TILE
+        # the rays of a tile's pixels form one lattice
+        tile, place = tile_of(pixel, width)
+        of_tile = key_of(key_of(key, -1), tile)
         turn = uniform(own_key, -1)
         for s in range(rays):
             row = _start(point_of[pixel], s)
             if row < 0:
                 continue
-            u, v = _of_lattice(place + _TILE * _TILE * s, rays * _TILE * _TILE, of_tile)
+            u, v = _of_lattice(place + TILE * TILE * s, rays * TILE * TILE, of_tile)
             point, normal, alpha = triple(points.point[row]), triple(points.normal[row]), points.alpha[row]
             specular = triple(points.specular[row])
             first, second = tangents(normal)

@@ -19,7 +19,7 @@ from rfpp.raycast.vectors import GOLDEN, added, in_world, scaled, tangents, trip
 from rfpp.scene.triangles import SceneTriangles
 
 #: Rays per cell that sample its form factors.
-RAYS = 64
+RAYS = 128
 #: Sample points per object, and further ones per box of its grid.
 _POINTS, _POINTS_PER_BOX = 128, 8
 #: Points per cell at which light is sampled.

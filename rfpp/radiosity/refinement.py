@@ -23,7 +23,7 @@ class Refinement(nn.Module):
 
     Each pixel becomes a weighted mean of itself and its eight neighbors (kernel prediction, Bako et al. 2017), times
     factors exp(γ tanh(map)) of red, green and blue. A black pixel without a surface stays black, so that no light
-    spills over an outline. The image is read in units of its mean: twice the light gives exactly twice the image. The
+    spills over an outline. The image keeps its mean radiance: a loss of logarithms alone darkens what is noisy. It is read in units of its mean: twice the light gives exactly twice the image. The
     refined image is not linear in single lights.
 
     Args:
@@ -68,7 +68,8 @@ class Refinement(nn.Module):
         factors, weights = self.out(fine).float().split([3, 9], dim=1)
         lit_or_surface = radiance.amax(1, keepdim=True) + _hit(gbuffer) > 0
         with torch.autocast(radiance.device.type, enabled=False):
-            return lit_or_surface * torch.exp(self.bound * torch.tanh(factors)) * _mixed(radiance, weights)
+            refined = lit_or_surface * torch.exp(self.bound * torch.tanh(factors)) * _mixed(radiance, weights)
+            return refined * _energy(radiance, radiance) / _energy(refined, radiance).clamp_min(1e-20)
 
 
 #: Image 3, albedo 3, specular 3, roughness, normal 3, size of a pixel, whether there is a surface.
@@ -107,6 +108,12 @@ def _enlarged(
     x: Float[Tensor, "n c h w"], like: Float[Tensor, "n _ height width"]
 ) -> Float[Tensor, "n c height width"]:
     return F.interpolate(x, size=like.shape[-2:], mode="bilinear", align_corners=False)
+
+
+def _energy(image: Float[Tensor, "n 3 h w"], unrefined: Float[Tensor, "n 3 h w"]) -> Float[Tensor, "n 1 1 1"]:
+    """Return the mean radiance; lights in view count little."""
+    limit = _BRIGHTER[1] * unrefined.mean((1, 2, 3), keepdim=True)
+    return torch.minimum(image, limit).mean((1, 2, 3), keepdim=True)
 
 
 def _mixed(image: Float[Tensor, "n 3 h w"], weights: Float[Tensor, "n 9 h w"]) -> Float[Tensor, "n 3 h w"]:

@@ -64,7 +64,7 @@ def with_known_light(
     for number in np.flatnonzero(sampler.scene.shining).tolist():
         _add_light(sampler, number, of_image, (height, width), samples, keys[0], room, diffuse, glossy)
     trace = Trace.of(len(surface), samples if traced else 0)
-    image = (of_image, samples, reflects, keys[1], glossy, reflected, trace)
+    image = (of_image, width, samples, reflects, keys[1], glossy, reflected, trace)
     over_rows(len(surface), lobe_rays, sampler.scene, *image)
     maps = np.zeros((3, *gbuffer.depth.shape, 3), np.float32)
     over_rows(len(surface), to_image, np.flatnonzero(gbuffer.hit), light, maps.reshape(3, -1, 3))
@@ -93,11 +93,11 @@ def _add_light(
     rows, scene, (sums, unhidden) = len(points.pixel), sampler.scene, room
     edge = np.ones(size[0] * size[1], np.bool_)
     few = min(-(-_PROBES // points.of_pixel), samples)
-    over_rows(rows, light_samples, scene, number, points, 0, few, edge, key, sums)
+    over_rows(rows, light_samples, scene, number, points, size[1], 0, few, edge, key, sums)
     if few < samples:
         counts = np.zeros(len(edge), np.uint8), np.empty(size[1], np.uint8), np.zeros((len(edge), 3))
         find_edges(scene, number, points, sums, few, *size, _REACH, *counts, edge)
-        over_rows(rows, light_samples, scene, number, points, few, samples, edge, key, sums)
+        over_rows(rows, light_samples, scene, number, points, size[1], few, samples, edge, key, sums)
     around = np.empty(len(edge))
     shares_around(points, sums, *size, np.zeros((len(edge), 2)), around)
     over_rows(rows, of_light, scene, number, points, around, edge, few, samples, sums, unhidden, diffuse, glossy)

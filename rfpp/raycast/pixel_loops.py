@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float, Int
 
 from rfpp.raycast import ggx
 from rfpp.raycast.compiled import compiled
-from rfpp.raycast.counted_random import Key, key_of, spread, uniform
+from rfpp.raycast.counted_random import Key, key_of, shift_of, spread
 from rfpp.raycast.ggx import lobe_and_pdf
 from rfpp.raycast.light_loops import (
     direct_at,
@@ -47,6 +47,7 @@ def light_samples(
     scene: LitScene,
     light: int,
     points: Points,
+    width: int,
     begin: int,
     end: int,
     only: Bool[np.ndarray, " pixels"],
@@ -56,6 +57,7 @@ def light_samples(
     """Add samples of one light to the sums of each point.
 
     Args:
+        width: Width of the image in pixels.
         begin, end: Range of sample numbers; number 0 resets the sums.
         only: Pixels whose points are sampled.
         sums: Sums to add to.
@@ -70,8 +72,7 @@ def light_samples(
         own, alpha = sums[row], points.alpha[row]
         first, second = tangents(normal)
         view = in_frame(points.eye[row], first, second, normal)
-        own_key = key_of(key_of(key, light), pixel)
-        target, shift_u, shift_v = target_of(scene, light, point, normal), uniform(own_key, 0), uniform(own_key, 1)
+        target, (shift_u, shift_v) = target_of(scene, light, point, normal), shift_of(key_of(key, light), pixel, width)
         for s in range(begin, end):
             # all samples of a pixel's points are spread over the light together
             u, v = spread(s * points.of_pixel + points.nth[row], shift_u, shift_v)
@@ -173,6 +174,7 @@ def lobe_rays(
     stop: int,
     scene: LitScene,
     points: Points,
+    width: int,
     samples: int,
     reflects: bool,
     key: Key,
@@ -183,6 +185,7 @@ def lobe_rays(
     """Cast rays of the glossy lobe; gather light of emitters, and of surfaces that they light.
 
     Args:
+        width: Width of the image in pixels.
         samples: Largest number of rays per point: a mirror needs one, a weak lobe shows less noise.
         reflects: Gather light of surfaces, too.
         glossy: Glossy light by samples of the lights; that of the rays is added.
@@ -198,8 +201,7 @@ def lobe_rays(
         first, second = tangents(normal)
         view = in_frame(points.eye[row], first, second, normal)
         own_diffuse, own_specular = mean(points.diffuse[row]), mean(specular)
-        own_key = key_of(key, points.pixel[row])
-        shift_u, shift_v = uniform(own_key, 0), uniform(own_key, 1)
+        own_key, (shift_u, shift_v) = key_of(key, points.pixel[row]), shift_of(key, points.pixel[row], width)
         count = _rays(samples, alpha, own_specular)
         every = rays_to_all(scene) if count > 1 else 1
         emitted, reflection = BLACK, BLACK

@@ -182,7 +182,7 @@ def test_an_emissive_mesh_is_one_light_in_every_way():
     apart = pack(floor, *((triangle[None], glowing) for triangle in lamp))
     assert len(LightSampler(together).names) == 1
     assert len(LightSampler(apart).names) == len(lamp)
-    one, many = light(together, samples=256, size=8), light(apart, samples=16, size=8)
+    one, many = light(together, samples=1024, size=8), light(apart, samples=16, size=8)
     np.testing.assert_allclose(one.glossy, many.glossy, rtol=0.1, atol=0.02 * many.glossy.max())
     # the far side of a sphere is hidden by the near one, which shadow rays must find
     np.testing.assert_allclose(one.diffuse, many.diffuse, rtol=0.05)
