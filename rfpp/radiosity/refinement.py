@@ -22,9 +22,10 @@ class Refinement(nn.Module):
     """U-Net (Ronneberger et al. 2015) that reads image and G-buffer and predicts two corrections of the image.
 
     Each pixel becomes a weighted mean of itself and its eight neighbors (kernel prediction, Bako et al. 2017), times
-    factors exp(γ tanh(map)) of red, green and blue. A black pixel without a surface stays black, so that no light
-    spills over an outline. The image keeps its mean radiance: a loss of logarithms alone darkens what is noisy. It is read in units of its mean: twice the light gives exactly twice the image. The
-    refined image is not linear in single lights.
+    factors exp(γ tanh(map)) of red, green and blue. The image keeps its mean radiance, which logarithms in the loss
+    would lower where it is noisy. A black pixel without a surface stays black, so that no light spills over an
+    outline. The image is read in units of its mean: twice the light gives exactly twice the image. The refined image is
+    not linear in single lights.
 
     Args:
         widths: Channels at full, half and quarter resolution.

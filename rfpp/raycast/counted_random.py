@@ -46,7 +46,7 @@ def tile_of(pixel: int, width: int) -> tuple[int, int]:
 
 @compiled
 def shift_of(key: Key, pixel: int, width: int) -> tuple[float, float]:
-    """Return a pixel's displacement of an even sequence; those of a tile are even, too, so that neighbors complement."""
+    """Return a pixel's displacement of an even sequence; those of a tile are even, too."""
     tile, place = tile_of(pixel, width)
     of_tile = key_of(key, tile)
     return uniform(of_tile, 0) + place * GOLDEN, uniform(of_tile, 1) + place / (TILE * TILE)
