@@ -15,6 +15,15 @@ from rfpp.errors import UserError
 
 #: Numbers in whose place a list may be given.
 _ONE_OR_MORE = ("resolution", "trainer.devices")
+#: Settings of version 0.1 whose new names are not similar.
+_RENAMED = {
+    "callbacks.life": "callbacks.ablation",
+    "compile": "accelerate",
+    "datamodule.colour_augmentation": "datamodule.augmentation.color",
+    "datamodule.dealing": "datamodule.batching.partition",
+    "datamodule.rigid_augmentation": "datamodule.augmentation.rigid",
+    "evaluation.life_scenes": "evaluation.ablation_scenes",
+}
 
 
 def defaults_of(config_name: str, config_dir: Path, overrides: Sequence[str]) -> DictConfig:
@@ -41,8 +50,11 @@ def _require(key: str, before: Any, value: Any) -> None:
 
 
 def suggestions(key: str, defaults: DictConfig) -> list[str]:
-    """Return up to three keys that `key` may be a misspelling of: of the whole, or of its last part."""
-    known = list(_keys(OmegaConf.to_container(defaults, resolve=False)))
+    """Return the new name of `key`, or up to three of which it, or its last part, may be a misspelling."""
+    if key in _RENAMED:
+        return [_RENAMED[key]]
+    every = _keys(OmegaConf.to_container(defaults, resolve=False))
+    known = [name for name in every if not key.startswith(f"{name}.")]
     ends = {name: name.rpartition(".")[2] for name in known}
     similar = get_close_matches(key.rpartition(".")[2], sorted(set(ends.values())), 3, 0.75)
     same_end = [name for end in similar for name in known if ends[name] == end]

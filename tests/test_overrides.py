@@ -43,6 +43,11 @@ def test_nonsense_is_refused_for_every_leaf(command):
     ("given", "said"),
     [
         ("lr=9", "lr: there is no such setting: did you mean optimizer.lr?"),
+        ("compile=true", "compile: there is no such setting: did you mean accelerate?"),
+        (
+            "datamodule.root=a",
+            "datamodule.root: there is no such setting: did you mean datamodule.source.root?",
+        ),
         ("steps=many", "steps=many: a number was expected; the default is 20"),
     ],
 )
