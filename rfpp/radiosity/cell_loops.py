@@ -41,7 +41,7 @@ from rfpp.raycast.vectors import (
 )
 
 #: Random numbers of a key: for the continuation, for its absorption, for the light there.
-_WAY_U, _WAY_V, _SENT, _LIGHT = 0, 1, 2, 3
+_LOBE_U, _LOBE_V, _ABSORPTION, _LIGHT = 0, 1, 2, 3
 
 
 class End(NamedTuple):
@@ -94,32 +94,32 @@ def followed(
     cosine = dot(normal, back)
     shines = max(specular[0], specular[1], specular[2]) > 0 and cosine > 0
     alpha = blurred(alpha_of(scene, triangle), density) if shines else -1.0
-    dull, glossy, slope = BLACK, BLACK, BLACK
+    irradiance, glossy, slope = BLACK, BLACK, BLACK
     if wants_diffuse or (wants_glossy and shines):
         of_light, of_lobe = key_of(key, _LIGHT), alpha if wants_glossy else -1.0
-        dull, glossy = direct_at(
+        irradiance, glossy = direct_at(
             scene, point, normal, back, of_lobe, specular, 1, of_light, wants_diffuse, rays_to_all(scene), turn
         )
-        dull = dull if wants_diffuse else BLACK
-    light = added(product(diffuse, dull), product(specular, glossy))
+        irradiance = irradiance if wants_diffuse else BLACK
+    light = added(product(diffuse, irradiance), product(specular, glossy))
     if not shines:
-        return End(triangle, cell, NOWHERE, light, dull, slope)
+        return End(triangle, cell, NOWHERE, light, irradiance, slope)
     slope = slope_of(scene, glossy, cosine, alpha, specular)
     first, second = tangents(normal)
     view = in_frame(back, first, second, normal)
-    sent, direction = thrown(
-        scene, view, alpha, specular, uniform(key, _WAY_U), uniform(key, _WAY_V), uniform(key, _SENT), first, second,
-        normal,
+    continues, direction = continuation(
+        scene, view, alpha, specular, uniform(key, _LOBE_U), uniform(key, _LOBE_V), uniform(key, _ABSORPTION), first,
+        second, normal,
     )  # fmt: skip
     onward = NOWHERE
-    if sent:
+    if continues:
         other, _, _, _, there = intersect(scene, point, direction)
         onward = _cell_met(scene, table, other, direction, there) if other >= 0 else NOWHERE
-    return End(triangle, cell, onward, light, dull, slope)
+    return End(triangle, cell, onward, light, irradiance, slope)
 
 
 @compiled
-def thrown(
+def continuation(
     scene: LitScene,
     view: Vector,
     alpha: float,
@@ -234,8 +234,8 @@ def cells_seen(
                 continue
             # each ray of a pixel is absorbed above a threshold of its own
             threshold = (s + turn * rays) % rays / rays
-            sent, direction = thrown(scene, view, alpha, specular, u, v, threshold, first, second, normal)
-            if not sent:
+            continues, direction = continuation(scene, view, alpha, specular, u, v, threshold, first, second, normal)
+            if not continues:
                 continue
             toward, albedos = in_frame(direction, first, second, normal), (mean(points.diffuse[row]), mean(specular))
             density = density_of_lobes(*albedos, toward[2], lobe_and_pdf(view, toward, alpha)[1])

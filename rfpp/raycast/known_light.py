@@ -23,7 +23,7 @@ from jaxtyping import Float, Float32
 from rfpp.raycast.first_hit import DirectLight, GBuffer, Reflection
 from rfpp.raycast.light_sampler import LightSampler
 from rfpp.raycast.pixel_loops import SUMS, light_samples, lobe_rays, of_light, shares_around, to_image
-from rfpp.raycast.polygon_light import ROOM
+from rfpp.raycast.polygon_light import SCRATCH_ROWS
 from rfpp.raycast.shadow_edges import find_edges
 from rfpp.raycast.surface import Points, Surface
 from rfpp.raycast.threads import over_rows
@@ -60,9 +60,9 @@ def with_known_light(
     light = np.zeros((3, len(surface), 3), np.float32)
     diffuse, glossy, reflected = light
     keys = np.random.default_rng(seed).integers(1 << 62, size=2).tolist()
-    room = np.empty((len(surface), SUMS)), np.empty((ROOM, len(surface)))
+    scratch = np.empty((len(surface), SUMS)), np.empty((SCRATCH_ROWS, len(surface)))
     for number in np.flatnonzero(sampler.scene.shining).tolist():
-        _add_light(sampler, number, of_image, (height, width), samples, keys[0], room, diffuse, glossy)
+        _add_light(sampler, number, of_image, (height, width), samples, keys[0], scratch, diffuse, glossy)
     trace = Trace.of(len(surface), samples if traced else 0)
     image = (of_image, width, samples, reflects, keys[1], glossy, reflected, trace)
     over_rows(len(surface), lobe_rays, sampler.scene, *image)
@@ -81,16 +81,16 @@ def _add_light(
     size: tuple[int, int],
     samples: int,
     key: int,
-    room: tuple[Float[np.ndarray, "r sums"], Float[np.ndarray, "room r"]],
+    scratch: tuple[Float[np.ndarray, "r sums"], Float[np.ndarray, "scratch r"]],
     diffuse: Float32[np.ndarray, "r 3"],
     glossy: Float32[np.ndarray, "r 3"],
 ) -> None:
     """Add one light's direct light.
 
     Args:
-        room: Scratch space for the sums of its samples, and for its light by formula.
+        scratch: Scratch space for the sums of its samples, and for its light by formula.
     """
-    rows, scene, (sums, unhidden) = len(points.pixel), sampler.scene, room
+    rows, scene, (sums, unoccluded) = len(points.pixel), sampler.scene, scratch
     edge = np.ones(size[0] * size[1], np.bool_)
     few = min(-(-_PROBES // points.of_pixel), samples)
     over_rows(rows, light_samples, scene, number, points, size[1], 0, few, edge, key, sums)
@@ -100,4 +100,4 @@ def _add_light(
         over_rows(rows, light_samples, scene, number, points, size[1], few, samples, edge, key, sums)
     around = np.empty(len(edge))
     shares_around(points, sums, *size, np.zeros((len(edge), 2)), around)
-    over_rows(rows, of_light, scene, number, points, around, edge, few, samples, sums, unhidden, diffuse, glossy)
+    over_rows(rows, of_light, scene, number, points, around, edge, few, samples, sums, unoccluded, diffuse, glossy)

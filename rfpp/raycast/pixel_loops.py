@@ -30,7 +30,7 @@ from rfpp.raycast.lit_scene import (
     surface_at,
     tinted,
 )
-from rfpp.raycast.polygon_light import BLOCK, unhidden_each
+from rfpp.raycast.polygon_light import BLOCK, unoccluded_each
 from rfpp.raycast.surface import Points
 from rfpp.raycast.traces import Trace
 from rfpp.raycast.vectors import BLACK, added, dot, in_frame, mean, product, scaled, tangents, triple
@@ -107,7 +107,7 @@ def of_light(
     few: int,
     many: int,
     sums: Float[np.ndarray, "r sums"],
-    room: Float[np.ndarray, "room r"],
+    scratch: Float[np.ndarray, "scratch r"],
     diffuse: Float[np.ndarray, "r 3"],
     glossy: Float[np.ndarray, "r 3"],
 ) -> None:
@@ -121,22 +121,22 @@ def of_light(
         around: [pixels] results of `shares_around`.
         edge: [pixels] whether all samples were taken.
         few: Samples of points away from edges.
-        room: Scratch space for `rfpp.raycast.polygon_light.unhidden_each`.
+        scratch: Scratch space for `rfpp.raycast.polygon_light.unoccluded_each`.
         diffuse: Irradiance / π, added to.
     """
     for begin in range(start, stop, BLOCK):
         end = min(begin + BLOCK, stop)
         if scene.exact[light]:  # into the same numbers for every block, which are near
-            unhidden_each(begin, end, scene, light, points.point, points.normal, start, room)
+            unoccluded_each(begin, end, scene, light, points.point, points.normal, start, scratch)
         for row in range(begin, end):
             own, weight, share = sums[row], 1 / (many if edge[points.pixel[row]] else few), 0.0
             if scene.exact[light]:
                 column, other = start + row - begin, around[points.pixel[row]]
-                unoccluded = np.pi * (room[0, column] + room[1, column] + room[2, column]) / 3
+                unoccluded = np.pi * (scratch[0, column] + scratch[1, column] + scratch[2, column]) / 3
                 if unoccluded > 0:
                     share = max(other + weight * (own[VISIBLE] - other * own[WHOLE]) / unoccluded, 0.0)
                 for c in range(3):
-                    diffuse[row, c] += room[c, column] * share
+                    diffuse[row, c] += scratch[c, column] * share
             else:
                 for c in range(3):
                     diffuse[row, c] += own[DIFFUSE + c] * weight

@@ -11,8 +11,8 @@ from rfpp.raycast.vectors import BLACK, Triple, Vector, added, dot, scaled, trip
 
 #: Marks a triangle that is cut by a point's horizon.
 _CUT = -1.0
-#: Rows of scratch space for `unhidden_each`.
-ROOM = 10
+#: Rows of scratch space for `unoccluded_each`.
+SCRATCH_ROWS = 10
 #: Points whose data stays in a core's cache during the loop over a light's triangles.
 BLOCK = 512
 
@@ -48,7 +48,7 @@ def of_triangle(point: Vector, normal: Vector, corners: Float[np.ndarray, "3 3"]
 
 
 @compiled
-def unhidden_each(
+def unoccluded_each(
     start: int,
     stop: int,
     scene: LitScene,
@@ -56,19 +56,20 @@ def unhidden_each(
     points: Float[np.ndarray, "r 3"],
     normals: Float[np.ndarray, "r 3"],
     first: int,
-    room: Float[np.ndarray, "room r"],
+    scratch: Float[np.ndarray, "scratch r"],
 ) -> None:
     """Fill in the unoccluded irradiance / π of a light at many points, best BLOCK of them.
 
     Args:
         light: Light for which the formula holds (`LitScene.exact`).
-        first: Column of the first point in `room`.
-        room: The first three rows receive red, green and blue; the others are scratch space.
+        first: Column of the first point in `scratch`.
+        scratch: The first three rows receive red, green and blue; the others are scratch space.
     """
     last = first + stop - start
-    red, green, blue, own = room[0, first:last], room[1, first:last], room[2, first:last], room[3, first:last]
-    x, y, z = room[4, first:last], room[5, first:last], room[6, first:last]
-    along_x, along_y, along_z = room[7, first:last], room[8, first:last], room[9, first:last]
+    red, green, blue = scratch[0, first:last], scratch[1, first:last], scratch[2, first:last]
+    own = scratch[3, first:last]
+    x, y, z = scratch[4, first:last], scratch[5, first:last], scratch[6, first:last]
+    along_x, along_y, along_z = scratch[7, first:last], scratch[8, first:last], scratch[9, first:last]
     red[:], green[:], blue[:] = 0, 0, 0
     for row in range(stop - start):
         x[row], y[row], z[row] = triple(points[start + row])

@@ -14,7 +14,7 @@ from rfpp.raycast import surface, threads
 from rfpp.raycast.first_hit import DirectLight, GBuffer, channel, first_hit, stack_channels
 from rfpp.raycast.known_light import with_known_light
 from rfpp.raycast.light_sampler import LightSampler
-from rfpp.raycast.polygon_light import ROOM, unhidden_each
+from rfpp.raycast.polygon_light import SCRATCH_ROWS, unoccluded_each
 from rfpp.reference.cycles import CyclesSettings, render_passes
 from rfpp.scene.camera import camera_to_world
 from rfpp.scene.io.loading import load_scene
@@ -154,9 +154,9 @@ def test_light_at_many_points_at_once_is_that_at_each(lamp):
     assert (above.any(1) & ~above.all(1)).mean() > 0.1  # horizons that cut the lamp
     shines = ((scene.corners[:, 0] - points[:, None]) * scene.facing).sum(-1) < 0 if scene.solid[0] else True
     expected = (form_factor(points[:, None], normals[:, None], scene.corners) * shines).sum(1)
-    found = np.full((ROOM, len(points)), np.nan)
+    found = np.full((SCRATCH_ROWS, len(points)), np.nan)
     for start, stop in ((0, 7), (7, 1200), (1200, len(points))):
-        unhidden_each(start, stop, scene, 0, points, normals, start, found)
+        unoccluded_each(start, stop, scene, 0, points, normals, start, found)
     np.testing.assert_allclose(found[:3], np.outer(radiance, expected), rtol=1e-12, atol=1e-15)
 
 
