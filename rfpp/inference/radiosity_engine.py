@@ -85,8 +85,8 @@ class RadiosityEngine:
             return self.module.solve(CellTensors.of(cells, self.device), plan.transports)
 
     def _view(self, plan: Plan, number: int, light: str | None, cells: int) -> View:
-        seen = self.source.seen(plan, number, light)
-        return as_tensors(seen, plan.scene, number, cells, self.device)
+        inputs = self.source.inputs(plan, number, light)
+        return as_tensors(inputs, plan.scene, number, cells, self.device)
 
     def _refined(self, radiance: torch.Tensor, surfaces: torch.Tensor, fov: float) -> torch.Tensor:
         with torch.autocast(self.device.type, self.dtype, enabled=self.dtype != torch.float32):

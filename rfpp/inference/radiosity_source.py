@@ -14,7 +14,7 @@ from rfpp.radiosity.cell_finding import CellSources, cells_at
 from rfpp.radiosity.cell_places import CellPlaces, find_places
 from rfpp.radiosity.cell_tensors import row_of
 from rfpp.radiosity.cells import CellMap, Cells
-from rfpp.radiosity.pixel_rays import SeenCells, see_cells
+from rfpp.radiosity.pixel_rays import PixelCells, cast_to_cells
 from rfpp.radiosity.radiosity import Radiosity
 from rfpp.radiosity.view import View
 from rfpp.raycast.first_hit import GBuffer, channel
@@ -26,11 +26,11 @@ _CELL_BYTES_PER_TRIANGLE = 1000
 
 
 @dataclass(frozen=True, eq=False)
-class SeenView:
+class ViewInputs:
     """G-buffer of a view, with the cells that its pixels see."""
 
     gbuffer: GBuffer
-    cells: SeenCells
+    cells: PixelCells
 
 
 class RadiositySource:
@@ -59,13 +59,13 @@ class RadiositySource:
         """Return the map from points of the scene to its cells."""
         return self._places(triangles).map
 
-    def seen(self, plan: Plan, view: int, light: str | None = None, traced: bool = False) -> SeenView:
+    def inputs(self, plan: Plan, view: int, light: str | None = None, traced: bool = False) -> ViewInputs:
         """Return a view's G-buffer and the cells that its pixels see; see `GBufferSource.gbuffer`."""
         scene = plan.scene
         gbuffer = self.gbuffers.gbuffer(scene, view, *plan.size, plan.light_samples, plan.points, light, traced)
         lights, cell_map = self.gbuffers.lights(scene.triangles, light), self.cell_map(scene.triangles)
         camera = scene.c2w[view], scene.fov[view]
-        return SeenView(gbuffer, see_cells(gbuffer, *camera, lights, cell_map, plan.light_samples, traced=traced))
+        return ViewInputs(gbuffer, cast_to_cells(gbuffer, *camera, lights, cell_map, plan.light_samples, traced=traced))
 
     def _places(self, triangles: SceneTriangles) -> CellPlaces:
         def find() -> CellPlaces:
@@ -75,18 +75,18 @@ class RadiositySource:
         return self._cache.get_or_compute(key, _CELL_BYTES_PER_TRIANGLE * len(triangles), find)
 
 
-def as_tensors(seen: SeenView, scene: PackedScene, view: int, cells: int, device: torch.device) -> View:
+def as_tensors(inputs: ViewInputs, scene: PackedScene, view: int, cells: int, device: torch.device) -> View:
     """Move a view to a device."""
 
     def on_device(last: np.ndarray) -> torch.Tensor:
         return torch.from_numpy(np.ascontiguousarray(np.moveaxis(last, -1, 0))).to(device)
 
-    gbuffer, material, fov = seen.gbuffer, scene.triangles.material, scene.fov[view]
+    gbuffer, material, fov = inputs.gbuffer, scene.triangles.material, scene.fov[view]
     names = ("diffuse", "glossy", "diffuse_onward", "glossy_onward")
     return View(
         channels={name: on_device(channel(gbuffer, material, fov, name)) for name in Radiosity.gbuffer_channels},
-        **{name: row_of(on_device(getattr(seen.cells, name)), cells) for name in names},
-        bounced=on_device(seen.cells.bounced),
+        **{name: row_of(on_device(getattr(inputs.cells, name)), cells) for name in names},
+        bounced=on_device(inputs.cells.bounced),
         fov=float(fov),
         points=gbuffer.points,
     )

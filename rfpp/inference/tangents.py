@@ -17,7 +17,7 @@ from torch import Tensor
 
 from rfpp.inference.materials import MaterialTensors
 from rfpp.inference.plan import Plan
-from rfpp.inference.radiosity_source import RadiositySource, SeenView, as_tensors
+from rfpp.inference.radiosity_source import RadiositySource, ViewInputs, as_tensors
 from rfpp.radiosity.cell_tensors import CellTensors
 from rfpp.radiosity.view import View
 from rfpp.raycast.first_hit import DIRECT_CHANNELS, channel
@@ -64,14 +64,14 @@ class DifferentiableInputs:
 
     def view(self, number: int, cells: int) -> View:
         """Return a view with derivatives of its channels and bounced light."""
-        seen = self.source.seen(self.plan, number, traced=True)
-        value = as_tensors(seen, self.tensors.scene, number, cells, self.device)
-        channels, bounced = self._with_albedos(seen, dict(value.channels)), value.bounced
+        inputs = self.source.inputs(self.plan, number, traced=True)
+        value = as_tensors(inputs, self.tensors.scene, number, cells, self.device)
+        channels, bounced = self._with_albedos(inputs, dict(value.channels)), value.bounced
         height, width = bounced.shape[1:]
-        bounced = bounced + self._by_albedo(seen.cells.trace).view(height, width, 3).permute(2, 0, 1)
+        bounced = bounced + self._by_albedo(inputs.cells.trace).view(height, width, 3).permute(2, 0, 1)
         for light, change in self.lights.items():
             alone, change = (
-                self.source.seen(replace(self.plan, scene=self._white), number, light),
+                self.source.inputs(replace(self.plan, scene=self._white), number, light),
                 change[:, None, None],
             )
             for name in _LIGHT:
@@ -80,8 +80,8 @@ class DifferentiableInputs:
             bounced = bounced + self._first(alone.cells.bounced) * change
         return replace(value, channels=channels, bounced=bounced)
 
-    def _with_albedos(self, seen: SeenView, channels: dict[str, Tensor]) -> dict[str, Tensor]:
-        gbuffer = seen.gbuffer
+    def _with_albedos(self, inputs: ViewInputs, channels: dict[str, Tensor]) -> dict[str, Tensor]:
+        gbuffer = inputs.gbuffer
         hit = torch.from_numpy(gbuffer.hit).to(self.device)
         triangle = torch.from_numpy(gbuffer.triangle).long().to(self.device).clamp_min(0)
         change = (self.change[triangle] * hit[..., None]).permute(2, 0, 1)

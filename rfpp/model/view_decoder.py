@@ -78,15 +78,15 @@ class ViewDecoder(nn.Module):
         grid = (height // self.rays.patch_size, width // self.rays.patch_size)
         rays = self.rays(fov.flatten(), gbuffer.flatten(0, 1), exposure.repeat_interleave(views))  # [B V, patches, D]
 
-        seen = SeenTokens.by(scene, c2w)
-        seen_rotation = self.position(seen.points)
+        seen = CameraTokens.by(scene, c2w)
+        token_rotation = self.position(seen.points)
         in_view = Segments.uniform(batch * views, rays.shape[1], rays.device)
         to_scene = AttentionPattern(in_view, seen.segments)
         among_rays = cycle(self.windows(batch * views, *grid, rays.device))
 
         x, features = rays.flatten(0, 1), []
         for block in self.blocks:
-            x = block(x, scene.features, seen.rows, to_scene, next(among_rays), seen_rotation)
+            x = block(x, scene.features, seen.rows, to_scene, next(among_rays), token_rotation)
             features.append(x)
 
         levels = [f.view(batch * views, *grid, -1).permute(0, 3, 1, 2) for f in features[-LEVELS:]]
@@ -116,11 +116,11 @@ class DecoderBlock(nn.Module):
         rows: Int[Tensor, " seen"],
         to_scene: AttentionPattern,
         among_rays: AttentionPattern,
-        seen_rotation: Rotation,
+        token_rotation: Rotation,
     ) -> Float[Tensor, "n width"]:
         # keys and values are projected once per scene; a view selects its scene's rows and rotates them into its camera
         keys, values = self.cross_attention.project(self.context_norm(scene))
-        keys, values = rotate(keys.index_select(0, rows), seen_rotation), values.index_select(0, rows)
+        keys, values = rotate(keys.index_select(0, rows), token_rotation), values.index_select(0, rows)
         x = x + self.cross_attention(self.query_norm(x), keys, values, to_scene, None)
         x = x + self.self_attention(self.self_attention_norm(x), among_rays, None)
         out: Tensor = x + self.feed_forward(self.feed_forward_norm(x))
@@ -128,7 +128,7 @@ class DecoderBlock(nn.Module):
 
 
 @dataclass(frozen=True)
-class SeenTokens:
+class CameraTokens:
     """Scene tokens as B·V cameras see them.
 
     Attributes:
@@ -142,7 +142,7 @@ class SeenTokens:
     segments: Segments
 
     @classmethod
-    def by(cls, scene: SceneTokens, c2w: Float[Tensor, "b v 4 4"]) -> SeenTokens:
+    def by(cls, scene: SceneTokens, c2w: Float[Tensor, "b v 4 4"]) -> CameraTokens:
         """Transform each scene's tokens into the cameras of its views."""
         scenes, views = c2w.shape[:2]
         segments = scene.segments.repeated(views, scenes)

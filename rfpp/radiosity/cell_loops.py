@@ -85,7 +85,7 @@ def followed(
     triangle, a, b, distance, there = intersect(scene, origin, direction)
     if triangle < 0:
         return End(triangle, NOWHERE, NOWHERE, BLACK, BLACK, BLACK)
-    cell = _cell_met(scene, table, triangle, direction, there)
+    cell = _cell_hit(scene, table, triangle, direction, there)
     # a ray that starts on another surface, where two touch, ends where it starts: it is not seen from anywhere
     if distance <= 0:
         return End(triangle, cell, NOWHERE, BLACK, BLACK, BLACK)
@@ -114,7 +114,7 @@ def followed(
     onward = NOWHERE
     if continues:
         other, _, _, _, there = intersect(scene, point, direction)
-        onward = _cell_met(scene, table, other, direction, there) if other >= 0 else NOWHERE
+        onward = _cell_hit(scene, table, other, direction, there) if other >= 0 else NOWHERE
     return End(triangle, cell, onward, light, irradiance, slope)
 
 
@@ -173,7 +173,7 @@ def follow_each(
 
 
 @compiled
-def cells_seen(
+def cast_each(
     start: int,
     stop: int,
     scene: LitScene,
@@ -189,12 +189,12 @@ def cells_seen(
     light: Float[np.ndarray, "pixels 3"],
     trace: Trace,
 ) -> None:
-    """Fill in the arrays of `SeenCells`.
+    """Fill in the arrays of `PixelCells`.
 
     Args:
         point_of: Rows of each pixel's points, -1 for none.
         width: Width of the image in pixels.
-        light: `SeenCells.bounced`.
+        light: `PixelCells.bounced`.
         trace: Derivatives of `light`.
     """
     rays, traced = diffuse.shape[1], trace.triangle.shape[1] > 0
@@ -262,7 +262,7 @@ def _of_lattice(number: int, count: int, key: Key) -> tuple[float, float]:
 
 
 @compiled
-def _cell_met(scene: LitScene, table: CellTable, triangle: int, direction: Vector, point: Vector) -> int:
+def _cell_hit(scene: LitScene, table: CellTable, triangle: int, direction: Vector, point: Vector) -> int:
     a, b, c = scene.positions[triangle]
     back = dot(normal_of(triple(a), triple(b), triple(c)), direction) > 0
     return cell_at(table, triangle, point, back)

@@ -8,7 +8,7 @@ from typing import SupportsFloat
 import numpy as np
 from jaxtyping import Float, Int
 
-from rfpp.radiosity.cell_loops import cells_seen
+from rfpp.radiosity.cell_loops import cast_each
 from rfpp.radiosity.cell_table import NOWHERE
 from rfpp.radiosity.cells import CellMap
 from rfpp.raycast.first_hit import GBuffer
@@ -22,7 +22,7 @@ MOST_RAYS = 8
 
 
 @dataclass(frozen=True, eq=False)
-class SeenCells:
+class PixelCells:
     """Cells in which S rays of each pixel and lobe end; NOWHERE if they escape.
 
     Attributes:
@@ -43,7 +43,7 @@ class SeenCells:
     trace: Trace | None = None
 
 
-def see_cells(
+def cast_to_cells(
     gbuffer: GBuffer,
     c2w: Float[np.ndarray, "4 4"],
     fov: SupportsFloat,
@@ -52,7 +52,7 @@ def see_cells(
     light_samples: int = MOST_RAYS,
     seed: int = 0,
     traced: bool = False,
-) -> SeenCells:
+) -> PixelCells:
     """Cast rays from each pixel to cells; they start from the pixel's samples in turn.
 
     Args:
@@ -63,7 +63,7 @@ def see_cells(
     """
     points, rays = gbuffer.points, min(light_samples, MOST_RAYS)
     height, width = (side // points for side in gbuffer.depth.shape)
-    surface = Surface.seen(gbuffer, sampler.triangles, c2w, fov)
+    surface = Surface.at_hits(gbuffer, sampler.triangles, c2w, fov)
     of_image = surface.points(gbuffer.hit, points)
     point_of = np.full((height * width, of_image.of_pixel), -1)
     point_of[of_image.pixel, of_image.nth] = np.arange(len(surface))
@@ -72,7 +72,7 @@ def see_cells(
     key = int(np.random.default_rng(seed).integers(1 << 62))
     trace = Trace.of(height * width, rays if traced else 0)
     image = (of_image, point_of, width, key, *seen, bounced, trace)
-    over_rows(height * width, cells_seen, sampler.scene, cells.table, *image)
+    over_rows(height * width, cast_each, sampler.scene, cells.table, *image)
     diffuse, glossy, diffuse_onward, glossy_onward = seen.reshape(4, height, width, rays)
     ends = (diffuse, glossy, diffuse_onward, glossy_onward)
-    return SeenCells(*ends, bounced.reshape(height, width, 3), trace if traced else None)
+    return PixelCells(*ends, bounced.reshape(height, width, 3), trace if traced else None)

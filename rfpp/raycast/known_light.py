@@ -54,7 +54,7 @@ def with_known_light(
         reflects: Also compute reflections of other surfaces.
         traced: Also record the derivatives of reflections.
     """
-    surface = Surface.seen(gbuffer, sampler.triangles, c2w, fov)
+    surface = Surface.at_hits(gbuffer, sampler.triangles, c2w, fov)
     height, width = (side // gbuffer.points for side in gbuffer.depth.shape)
     of_image = surface.points(gbuffer.hit, gbuffer.points)
     light = np.zeros((3, len(surface), 3), np.float32)

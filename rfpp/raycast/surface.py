@@ -87,7 +87,7 @@ class Surface:
         )
 
     @classmethod
-    def seen(
+    def at_hits(
         cls, gbuffer: GBuffer, triangles: SceneTriangles, c2w: Float[np.ndarray, "4 4"], fov: SupportsFloat
     ) -> Surface:
         """Describe the hits of a G-buffer, row by row."""

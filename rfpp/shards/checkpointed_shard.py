@@ -12,7 +12,7 @@ from pathlib import Path
 from rfpp.errors import ShardError
 from rfpp.files import write_atomically
 from rfpp.shards.index import to_json
-from rfpp.shards.job import MadeScene, SceneTask
+from rfpp.shards.job import SampleBlocks, SceneTask
 from rfpp.shards.recipe import PlannedShard, Recipe
 from rfpp.shards.writer import write_json, write_shard
 
@@ -30,14 +30,14 @@ class SampleFolder:
     path: Path
     fingerprint: str
 
-    def write(self, key: str, made: MadeScene) -> None:
+    def write(self, key: str, made: SampleBlocks) -> None:
         """Store a sample. Raises UserError (full disk)."""
         counts = {name: value for name, value in asdict(made).items() if name != "blocks"}
         head = {"counts": counts, "sha256": hashlib.sha256(made.blocks).hexdigest(), "settings": self.fingerprint}
         write_atomically(self._file(key), to_json(head) + made.blocks)
         self._failure_file(key).unlink(missing_ok=True)
 
-    def read(self, key: str) -> MadeScene | None:
+    def read(self, key: str) -> SampleBlocks | None:
         """Return a stored sample, or None if it is missing or was truncated by a crash of the machine.
 
         Raises:
@@ -52,7 +52,7 @@ class SampleFolder:
             raise ShardError(f"{self._file(key)}: was made with other settings: delete it, or choose another data.name")
         if hashlib.sha256(blocks).hexdigest() != head["sha256"]:
             return None
-        return MadeScene(blocks, **head["counts"])
+        return SampleBlocks(blocks, **head["counts"])
 
     def remove(self, key: str) -> None:
         """Delete a sample, and the folder if it is empty."""
@@ -117,7 +117,7 @@ class UnfinishedShard:
 class CheckpointedJob:
     """Makes a sample and stores it in its shard's sample folder; picklable."""
 
-    job: Callable[[SceneTask], MadeScene]
+    job: Callable[[SceneTask], SampleBlocks]
 
     def __call__(self, task_and_folder: tuple[SceneTask, SampleFolder]) -> None:
         task, folder = task_and_folder

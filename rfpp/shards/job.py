@@ -93,7 +93,7 @@ class SceneTask:
 
 
 @dataclass(frozen=True)
-class MadeScene:
+class SampleBlocks:
     """A finished sample as tar blocks, with its counts for the index (`rfpp.shards.index.SampleEntry`)."""
 
     blocks: bytes
@@ -104,7 +104,7 @@ class MadeScene:
     unlit_views: int
 
     @classmethod
-    def of(cls, sample: SceneSample) -> MadeScene:
+    def of(cls, sample: SceneSample) -> SampleBlocks:
         """Pack a sample, whose meta data state the redraws. Raises ShardError (see `rfpp.shards.sample.encode`)."""
         blocks = tar.pack(sample.key, encode(sample))
         return cls(blocks, len(sample.triangles), sample.triangles.num_objects, **sample.meta["redraws"])
@@ -124,7 +124,7 @@ class SceneJob:
     fingerprint: str
     render: Callable[..., np.ndarray]
 
-    def __call__(self, task: SceneTask) -> MadeScene:
+    def __call__(self, task: SceneTask) -> SampleBlocks:
         """Draw until all views are accepted, then render. Raises SceneError after too many attempts."""
         rejected: Counter[str] = Counter()
         attempts = range(self.data.acceptance.scene_attempts)
@@ -162,7 +162,7 @@ class SceneJob:
             meta=meta,
             token_light=labels.token_light,
         )
-        return MadeScene.of(sample)
+        return SampleBlocks.of(sample)
 
     def _accepted(
         self, task: SceneTask, split: str, attempts: Iterable[int], rejected: Counter[str]

@@ -16,7 +16,7 @@ from rfpp.errors import ShardError, UserError
 from rfpp.reference import cycles
 from rfpp.reference.labels import LabelSource
 from rfpp.shards.index import ShardIndex, index_file, to_json
-from rfpp.shards.job import SPLIT_CODES, DatasetSettings, MadeScene, SceneJob, SceneSource, SceneTask
+from rfpp.shards.job import SPLIT_CODES, DatasetSettings, SampleBlocks, SceneJob, SceneSource, SceneTask
 from rfpp.shards.sample import SCHEMA_VERSION
 from rfpp.shards.store import FolderStore
 from rfpp.shards.writer import write_json
@@ -75,7 +75,7 @@ class Recipe:
     views: int
     scenes_per_shard: int
     settings: Mapping[str, Any]
-    job: Callable[[SceneTask], MadeScene]
+    job: Callable[[SceneTask], SampleBlocks]
 
     @classmethod
     def of_scenes(

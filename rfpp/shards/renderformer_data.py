@@ -18,7 +18,7 @@ from rfpp.errors import SceneError, ShardError, UserError
 from rfpp.scene.io.renderformer_h5 import image_shape, load_h5, load_images
 from rfpp.shards.acceptance import EMPTY, UNLIT
 from rfpp.shards.export import look_at
-from rfpp.shards.job import DatasetSettings, MadeScene, SceneTask
+from rfpp.shards.job import DatasetSettings, SampleBlocks, SceneTask
 from rfpp.shards.recipe import Recipe, fingerprint_of
 from rfpp.shards.sample import SCHEMA_VERSION, SceneSample
 from rfpp.shards.scene_rays import SceneRays
@@ -122,7 +122,7 @@ class ImportJob:
     light_samples: int
     fingerprint: str
 
-    def __call__(self, task: SceneTask) -> MadeScene:
+    def __call__(self, task: SceneTask) -> SampleBlocks:
         """Raise SceneError naming the file if it is unreadable, textured, or beyond half precision."""
         path = _imported(self.folder, self.validation, self.test).splits[task.split][task.index]
         scene, images = load_h5(path), load_images(path)
@@ -144,7 +144,7 @@ class ImportJob:
         seed = np.random.SeedSequence(int.from_bytes(digest.digest()))
         gbuffers = SceneRays(scene.triangles).gbuffers(scene.c2w, scene.fov, images.shape[1], self.light_samples, seed)
         try:
-            return MadeScene.of(SceneSample(task.key, scene.triangles, scene.c2w, scene.fov, images, gbuffers, meta))
+            return SampleBlocks.of(SceneSample(task.key, scene.triangles, scene.c2w, scene.fov, images, gbuffers, meta))
         except ShardError as error:
             raise SceneError(f"{path}: {error}") from None
 

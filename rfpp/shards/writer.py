@@ -11,11 +11,11 @@ from typing import Any
 from rfpp.errors import UserError
 from rfpp.files import write_atomically
 from rfpp.shards.index import SampleEntry, ShardIndex, index_file, to_json
-from rfpp.shards.job import MadeScene
+from rfpp.shards.job import SampleBlocks
 from rfpp.shards.tar import END_OF_ARCHIVE
 
 
-def write_shard(root: Path, file: str, fingerprint: str, samples: Iterable[tuple[str, MadeScene]]) -> ShardIndex:
+def write_shard(root: Path, file: str, fingerprint: str, samples: Iterable[tuple[str, SampleBlocks]]) -> ShardIndex:
     """Write a tar under a temporary name, move it into place, then write its index.
 
     Raises:

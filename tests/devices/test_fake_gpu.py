@@ -14,7 +14,7 @@ from rfpp.losses.transport_consistency import TransportConsistency
 from rfpp.model.exposure import MeanIrradianceExposure
 from rfpp.model.layers import attention
 from rfpp.model.layers.ray_windows import ShiftedWindows
-from rfpp.model.view_decoder import SeenTokens
+from rfpp.model.view_decoder import CameraTokens
 from rfpp.segments import on_device
 from rfpp.training.blocks import RecomputedObjects
 
@@ -214,6 +214,6 @@ def test_tokens_that_cameras_see_are_listed_scene_by_scene_and_view_by_view():
     net = network_on("cpu", *PAPER)
     batch = batch_for(net)
     _, tokens = net.tokenize(batch)
-    seen = SeenTokens.by(tokens, batch.c2w)
+    seen = CameraTokens.by(tokens, batch.c2w)
     first = tokens.segments.lengths[0]
     assert seen.rows.tolist() == [*range(first)] * 2 + [*range(first, tokens.segments.total)] * 2

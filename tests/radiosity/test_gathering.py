@@ -7,7 +7,7 @@ from slow_light import direct_light
 
 from rfpp.radiosity.cell_places import find_places
 from rfpp.radiosity.cell_table import NOWHERE
-from rfpp.radiosity.pixel_rays import MOST_RAYS, SeenCells, see_cells
+from rfpp.radiosity.pixel_rays import MOST_RAYS, PixelCells, cast_to_cells
 from rfpp.radiosity.ray_ends import follow_rays
 from rfpp.raycast.first_hit import first_hit
 from rfpp.raycast.light_sampler import LightSampler
@@ -20,12 +20,12 @@ FOV, SIDE = 40.0, 32
 
 def seen_by(
     scene: SceneTriangles, camera: np.ndarray, points: int = 1, seed: int = 0, rays: int = MOST_RAYS
-) -> tuple[SeenCells, np.ndarray]:
+) -> tuple[PixelCells, np.ndarray]:
     """The cells that pixels of a picture see, and the object of each cell, -1 for the last."""
     sampler = LightSampler(scene)
     places = find_places(scene, sampler.caster)
     gbuffer = first_hit(scene, camera, FOV, points * SIDE, points * SIDE, points=points)
-    seen = see_cells(gbuffer, camera, FOV, sampler, places.map, rays, seed)
+    seen = cast_to_cells(gbuffer, camera, FOV, sampler, places.map, rays, seed)
     first = np.searchsorted(places.cell, np.arange(places.cell[-1] + 1))
     return seen, np.append(scene.object_index[places.points.triangle[first]], NOWHERE)
 
@@ -171,7 +171,7 @@ def test_bounced_light_knows_shadows_within_a_cell():
     facing = np.tile([-1.0, 0, 0], (len(along), 1))
     wall = Surface.at(scene, np.full(len(along), 2), place, facing, place + facing)
     leaving, arriving = 0.8 * direct_light(scene, wall, 8, rng)[0][:, 0], []
-    for point in Surface.seen(gbuffer, scene, camera, FOV).point[of_floor[gbuffer.hit]][::7]:
+    for point in Surface.at_hits(gbuffer, scene, camera, FOV).point[of_floor[gbuffer.hit]][::7]:
         direction = wall.point - point
         distance = np.linalg.norm(direction, axis=-1)
         direction /= distance[:, None]
@@ -200,7 +200,7 @@ def test_rays_take_turns_with_many_lights_whose_light_is_still_the_sum_of_theirs
     sampler, seen = LightSampler(scene), first_hit(scene, camera, FOV, SIDE, SIDE)
     places = find_places(sampler.triangles, sampler.caster).map
     whole, *parts = (
-        see_cells(seen, camera, FOV, of, places).bounced for of in (sampler, *map(sampler.only, sampler.names))
+        cast_to_cells(seen, camera, FOV, of, places).bounced for of in (sampler, *map(sampler.only, sampler.names))
     )
     np.testing.assert_allclose(sum(parts), whole, rtol=1e-3, atol=1e-6)
 

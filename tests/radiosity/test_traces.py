@@ -9,7 +9,7 @@ from slow_light import multiple_scattering
 
 from rfpp.radiosity.cell_finding import cells_at
 from rfpp.radiosity.cell_places import find_places
-from rfpp.radiosity.pixel_rays import see_cells
+from rfpp.radiosity.pixel_rays import cast_to_cells
 from rfpp.raycast.first_hit import first_hit
 from rfpp.raycast.ggx import lobe_albedo, scattering_growth
 from rfpp.raycast.known_light import with_known_light
@@ -56,7 +56,7 @@ def test_bounced_light_changes_as_its_traces_say(columns):
         places = find_places(scene, sampler.caster)
         cells, sources = cells_at(places, sampler)
         seen = first_hit(scene, CAMERA, FOV, SIDE, SIDE, points=POINTS)
-        return cells, see_cells(seen, CAMERA, FOV, sampler, places.map, traced=True), sources
+        return cells, cast_to_cells(seen, CAMERA, FOV, sampler, places.map, traced=True), sources
 
     (cells, pixels, sources), (more, of_more, _), (less, of_less, _) = (
         of(mirror_and_box(change, columns)) for change in (0.0, 0.02, -0.02)
@@ -86,7 +86,7 @@ def test_nothing_is_recorded_and_nothing_changes_where_nobody_asks():
     assert quiet.reflection.trace is None
     np.testing.assert_array_equal(quiet.reflection.light, traced.reflection.light)
     places = find_places(sampler.triangles, sampler.caster).map
-    assert see_cells(seen, CAMERA, FOV, sampler, places).trace is None
+    assert cast_to_cells(seen, CAMERA, FOV, sampler, places).trace is None
 
 
 @pytest.mark.parametrize("alpha", [0.01, 0.3, 1.0])

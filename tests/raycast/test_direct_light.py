@@ -128,7 +128,7 @@ def test_the_sides_of_a_lamp_that_hide_each_other_send_what_they_should(lamp, ro
     floor = (square(2), material(0.5, specular=0.4, roughness=roughness))
     scene = pack(floor, (LAMPS[lamp], material(1.0, emission=20.0)))
     few, many = (lit(scene, samples=samples, size=24) for samples in (1, 64))
-    points = surface.Surface.seen(many, scene, POSE, 40.0)
+    points = surface.Surface.at_hits(many, scene, POSE, 40.0)
     truth = direct_light(scene, points, 400, np.random.default_rng(0))
     for number, most in enumerate((0.03, 0.06)):  # of the noise of both in single pixels
         found, of_one_sample = ((seen.light.diffuse, seen.light.glossy)[number][seen.hit] for seen in (many, few))

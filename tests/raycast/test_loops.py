@@ -25,7 +25,7 @@ def test_direct_light_is_that_of_the_twin(triangles_of_lamp):
     things = (square(), material(0.4, specular=0.5, roughness=0.5)), (sphere(0.2, (0, 0, 0.3)), material(0.6))
     scene = pack(*things, (lamp, material(emission=8.0)))
     gbuffer = first_hit(scene, POSE, FOV, SIDE, SIDE)
-    surface, sampler = Surface.seen(gbuffer, scene, POSE, FOV), LightSampler(scene)
+    surface, sampler = Surface.at_hits(gbuffer, scene, POSE, FOV), LightSampler(scene)
     twin = direct_light(scene, surface, 1024 // triangles_of_lamp, np.random.default_rng(0))
     twin[1, ~(surface.specular > 0).any(-1)] = 0
     of_image = with_known_light(gbuffer, POSE, FOV, sampler, 256).light

@@ -28,7 +28,7 @@ _NAMES = {"floor": "a floor", "corner": "a floor and two walls"}
 
 def with_backdrop(scene: ImportedScene, backdrop: Backdrop, path: Path) -> ImportedScene:
     """Add a gray, matte backdrop to a framed scene without camera, light and floor, with a warning."""
-    surrounded = scene.cameras or scene.lamps or any(part.is_light for part in scene.parts)
+    surrounded = scene.cameras or scene.punctual_lights or any(part.is_light for part in scene.parts)
     if backdrop == "none" or surrounded or _has_floor(scene.parts):
         return scene
     low, high = bounds(scene.parts)
@@ -41,7 +41,7 @@ def with_backdrop(scene: ImportedScene, backdrop: Backdrop, path: Path) -> Impor
         panels += [("left_wall", floor + _HALF * (up - right), up, back)]
     warnings.warn(f"{path}: no surroundings: {_NAMES[backdrop]} is added (backdrop=none omits it)", stacklevel=4)
     parts = [_panel(name, center, u, v) for name, center, u, v in panels]
-    return ImportedScene(scene.name, (*scene.parts, *parts), scene.lamps, scene.cameras)
+    return ImportedScene(scene.name, (*scene.parts, *parts), scene.punctual_lights, scene.cameras)
 
 
 def _has_floor(parts: Sequence[Part]) -> bool:

@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from rfpp.errors import SceneError
 from rfpp.scene.camera import camera_to_world
-from rfpp.scene.io.imported_scene import ImportedScene, Lamp, Part
+from rfpp.scene.io.imported_scene import ImportedScene, Part, PunctualLight
 from rfpp.scene.mesh import extent
 from rfpp.scene.spec import Camera
 
@@ -59,10 +59,10 @@ class Framing:
         """Transform points."""
         return (position - self.center) * self.scale
 
-    def lamp(self, lamp: Lamp) -> Lamp:
-        """Transform a lamp; intensities scale with area, so that radiance is unchanged."""
-        strength = lamp.strength if lamp.kind == "directional" else lamp.strength * self.scale**2
-        return replace(lamp, strength=strength, position=self.point(lamp.position))
+    def light(self, light: PunctualLight) -> PunctualLight:
+        """Transform a light; intensities scale with area, so that radiance is unchanged."""
+        strength = light.strength if light.kind == "directional" else light.strength * self.scale**2
+        return replace(light, strength=strength, position=self.point(light.position))
 
     def camera(self, camera: Camera) -> Camera:
         """Transform a camera. Raises SceneError if it is too far away."""
@@ -82,7 +82,7 @@ class Framing:
         return replace(
             scene,
             parts=tuple(replace(part, vertices=self.point(part.vertices)) for part in scene.parts),
-            lamps=tuple(map(self.lamp, scene.lamps)),
+            punctual_lights=tuple(map(self.light, scene.punctual_lights)),
             cameras=tuple(map(self.camera, scene.cameras)),
         )
 

@@ -1,4 +1,4 @@
-"""glTF 2.0 (.gltf, .glb): nodes with meshes become parts, cameras cameras, and punctual lights lamps.
+"""glTF 2.0 (.gltf, .glb): nodes with meshes become parts, and cameras and punctual lights are kept.
 
 Y up becomes Z up. Each primitive of each node in the file's scene (else the first, else all roots) is a part. Skinned
 meshes are in the pose of their joints; morph targets and animations are left out. Candela and lux are divided by 683,
@@ -22,7 +22,7 @@ from rfpp.scene.io.gltf_file import GltfFile
 from rfpp.scene.io.gltf_json import FLAG, INDEX, INDICES, MATRIX, POSITIVE, QUATERNION, RGB, TEXT, VECTOR, YFOV, Entry
 from rfpp.scene.io.gltf_material import GltfMaterials
 from rfpp.scene.io.gltf_primitive import Geometry
-from rfpp.scene.io.imported_scene import BEYOND, ImportedScene, Lamp, Part, name_of, z_up
+from rfpp.scene.io.imported_scene import BEYOND, ImportedScene, Part, PunctualLight, name_of, z_up
 from rfpp.scene.io.limits import require_bounded
 from rfpp.scene.mesh import Mesh
 from rfpp.scene.spec import Camera
@@ -57,14 +57,14 @@ def load_gltf_meshes(path: Path) -> tuple[Mesh, ...]:
 def _scene(file: GltfFile, path: Path) -> ImportedScene:
     reader = _Reader(file)
     reader.materials.require_few_pixels()
-    parts, lamps, cameras = [], [], []
+    parts, punctual_lights, cameras = [], [], []
     with np.errstate(all="ignore"):  # results that are infinite or NaN are refused
         for index in reader.poses:
             parts += reader.parts(index)
             cameras += reader.cameras(index)
-            lamps += reader.lamps(index)
+            punctual_lights += reader.punctual_lights(index)
     reader.warn(path)
-    return ImportedScene(path.stem, tuple(parts), tuple(lamps), tuple(cameras))
+    return ImportedScene(path.stem, tuple(parts), tuple(punctual_lights), tuple(cameras))
 
 
 class _Reader:
@@ -132,7 +132,7 @@ class _Reader:
             **{name: tuple(v.tolist()) for name, v in values.items()}, fov=_longer_angle(entry.entry("perspective"))
         )
 
-    def lamps(self, index: int) -> Iterator[Lamp]:
+    def punctual_lights(self, index: int) -> Iterator[PunctualLight]:
         node, pose, label = self._node(index).entry("extensions", _PUNCTUAL), self.poses[index], self._label(index)
         if "light" not in node:
             return
@@ -146,7 +146,7 @@ class _Reader:
         position, direction = z_up(np.stack([pose[:3, 3], -pose[:3, 2]]))
         if not (np.abs([strength, position, direction]) < BEYOND).all() or not direction.any():
             raise SceneError(f"'{label}': its light is NaN, infinite or too large: export it again")
-        yield Lamp(label, kind, strength, position, _unit(direction))
+        yield PunctualLight(label, kind, strength, position, _unit(direction))
 
     def warn(self, path: Path) -> None:
         if textures := self.materials.textures.used:

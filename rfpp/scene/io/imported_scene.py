@@ -1,4 +1,4 @@
-"""Output of the readers of other programs' files: parts, lamps and cameras in the file's units, Z up."""
+"""Output of the readers of other programs' files: parts, lights and cameras in the file's units, Z up."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ class Part:
 
 
 @dataclass(frozen=True, eq=False)
-class Lamp:
+class PunctualLight:
     """A light without extent.
 
     Attributes:
@@ -101,16 +101,16 @@ class ImportedScene:
 
     name: str
     parts: tuple[Part, ...]
-    lamps: tuple[Lamp, ...] = ()
+    punctual_lights: tuple[PunctualLight, ...] = ()
     cameras: tuple[Camera, ...] = ()
 
     @classmethod
     def joined(cls, name: str, scenes: Iterable[ImportedScene]) -> ImportedScene:
         scenes = tuple(scenes)
-        parts, lamps, cameras = (
-            sum((getattr(scene, field) for scene in scenes), ()) for field in ("parts", "lamps", "cameras")
+        parts, punctual_lights, cameras = (
+            sum((getattr(scene, field) for scene in scenes), ()) for field in ("parts", "punctual_lights", "cameras")
         )
-        return cls(name, parts, lamps, cameras)
+        return cls(name, parts, punctual_lights, cameras)
 
 
 def plain_material(count: int, diffuse: Iterable[float] = (GREY,) * 3) -> Float[np.ndarray, "f 10"]:

@@ -1,4 +1,4 @@
-"""Lights of imported scenes: lamps become emissive triangles, and dark scenes get additional lights.
+"""Lights of imported scenes: punctual lights become emissive triangles, and dark scenes get additional lights.
 
 - Point light: a tetrahedron with edges of 0.05 and radiance 4 · intensity / surface; exact in the mean over directions,
   within 18% in each.
@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Bool, Float
 
-from rfpp.scene.io.imported_scene import ImportedScene, Lamp, Part
+from rfpp.scene.io.imported_scene import ImportedScene, Part, PunctualLight
 from rfpp.scene.spec import Camera
 from rfpp.scene.triangles import EMISSION
 
@@ -40,13 +40,13 @@ _SAMPLES = 512
 
 def with_lights(scene: ImportedScene, camera: Camera, path: Path) -> list[Part]:
     """Return the parts of a framed scene and its lights; added lights are placed around `camera`."""
-    parts = [*scene.parts, *map(emitter, scene.lamps)]
+    parts = [*scene.parts, *map(emitter, scene.punctual_lights)]
     glowing = sum(part.is_light for part in scene.parts)
     if glowing:
         warnings.warn(
             f"{path}: emissive parts light the scene and are invisible to the camera ({glowing})", stacklevel=4
         )
-    if approximate := sum(lamp.kind != "point" for lamp in scene.lamps):
+    if approximate := sum(light.kind != "point" for light in scene.punctual_lights):
         warnings.warn(f"{path}: spot and directional lights became triangles, which shine more widely ({approximate})",
                       stacklevel=4)  # fmt: skip
     brightness = irradiance(parts)
@@ -63,17 +63,17 @@ def with_lights(scene: ImportedScene, camera: Camera, path: Path) -> list[Part]:
     return parts
 
 
-def emitter(lamp: Lamp) -> Part:
-    """Return the triangles that replace a lamp."""
-    if lamp.kind == "point":
+def emitter(light: PunctualLight) -> Part:
+    """Return the triangles that replace a light."""
+    if light.kind == "point":
         surface = np.sqrt(3) * _LAMP_EDGE**2
-        return _light(lamp.name, lamp.position + _LAMP_EDGE * _TETRAHEDRON, _SIDES, 4 * lamp.strength / surface)
-    if lamp.kind == "spot":
-        position, edge, radiance = lamp.position, _LAMP_EDGE, lamp.strength / _area(_LAMP_EDGE)
+        return _light(light.name, light.position + _LAMP_EDGE * _TETRAHEDRON, _SIDES, 4 * light.strength / surface)
+    if light.kind == "spot":
+        position, edge, radiance = light.position, _LAMP_EDGE, light.strength / _area(_LAMP_EDGE)
     else:
-        position, edge = -_LIGHT_DISTANCE * lamp.direction, _LIGHT_EDGE
-        radiance = lamp.strength * _LIGHT_DISTANCE**2 / _area(_LIGHT_EDGE)
-    return replace(_triangle(lamp.name, position, lamp.direction, edge, radiance), one_sided=True)
+        position, edge = -_LIGHT_DISTANCE * light.direction, _LIGHT_EDGE
+        radiance = light.strength * _LIGHT_DISTANCE**2 / _area(_LIGHT_EDGE)
+    return replace(_triangle(light.name, position, light.direction, edge, radiance), one_sided=True)
 
 
 def irradiance(parts: Sequence[Part]) -> float:

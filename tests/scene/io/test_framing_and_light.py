@@ -14,7 +14,7 @@ from rfpp.raycast.first_hit import first_hit
 from rfpp.raycast.known_light import with_known_light
 from rfpp.raycast.light_sampler import LightSampler
 from rfpp.scene.io.framing import Framing, default_camera
-from rfpp.scene.io.imported_scene import ImportedScene, Lamp, Part, plain_material
+from rfpp.scene.io.imported_scene import ImportedScene, Part, PunctualLight, plain_material
 from rfpp.scene.io.light_rig import USUAL, emitter, irradiance, with_lights
 from rfpp.scene.io.loading import load_scene
 from rfpp.scene.packed import pack as packed
@@ -34,8 +34,8 @@ def part(vertices=FLOOR, emission: float = 0.0, name: str = "part") -> Part:
     return Part(name, np.array(vertices, np.float64), faces, rows, smooth=False)
 
 
-def lamp(kind: str = "point", position=(0, 0, 1), direction=(0, 0, -1), strength: float = 1.0) -> Lamp:
-    return Lamp("lamp", kind, np.full(3, strength), np.array(position, float), np.array(direction, float))
+def lamp(kind: str = "point", position=(0, 0, 1), direction=(0, 0, -1), strength: float = 1.0) -> PunctualLight:
+    return PunctualLight("lamp", kind, np.full(3, strength), np.array(position, float), np.array(direction, float))
 
 
 def quietly(function, *args):
@@ -53,8 +53,8 @@ def test_surfaces_fill_the_box_and_everything_moves_with_them() -> None:
     np.testing.assert_allclose(after.parts[0].vertices, FLOOR * (1, 0.5, 1), atol=1e-12)
     np.testing.assert_allclose(after.parts[1].vertices.mean(axis=0), [0, 0, 893 * 0.05])  # lights may stand outside
     assert after.parts[1].material[0, EMISSION][0] == 3  # radiance stays
-    np.testing.assert_allclose(after.lamps[0].position, [0, 0, 1])
-    np.testing.assert_allclose([light.strength[0] for light in after.lamps], [0.05**2, 1])
+    np.testing.assert_allclose(after.punctual_lights[0].position, [0, 0, 1])
+    np.testing.assert_allclose([light.strength[0] for light in after.punctual_lights], [0.05**2, 1])
     np.testing.assert_allclose(after.cameras[0].position, [0, -2.5, -0.35])
     np.testing.assert_allclose(np.subtract(after.cameras[0].look_at, after.cameras[0].position), [0, 1, 0])
 

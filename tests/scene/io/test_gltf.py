@@ -237,7 +237,7 @@ def test_lights_are_in_watts_and_stand_where_their_nodes_do(tmp_path: Path) -> N
         turned = [math.sqrt(0.5), 0, 0, -math.sqrt(0.5)]  # -Z, where lights shine, becomes -Y: straight down
         extension = {"KHR_lights_punctual": {"light": index}}
         builder.node(extensions=extension, translation=[1, 2, 3], rotation=turned)
-    point, sun = read(builder, tmp_path).lamps
+    point, sun = read(builder, tmp_path).punctual_lights
     np.testing.assert_allclose(point.strength, [1, 0.5, 0])
     np.testing.assert_allclose(point.position, [1, -3, 2])
     np.testing.assert_allclose(sun.strength, [2, 2, 2])

@@ -22,7 +22,7 @@ def test_files_are_read_in_the_coordinates_of_blender():
     lamp = {"type": "spot", "color": [1, 0.5, 0], "intensity": 683.0}
     file.node("Lamp", np.eye(4), extensions=file.light(lamp))
     scene = received_glb(file.content(), Path("scene"))
-    [part], [light] = scene.parts, scene.lamps
+    [part], [light] = scene.parts, scene.punctual_lights
     np.testing.assert_allclose(part.vertices, SQUARE @ pose[:3, :3].T + pose[:3, 3])
     np.testing.assert_array_equal(part.faces.reshape(-1), FACES)
     np.testing.assert_allclose([*light.strength, *light.direction], [1, 0.5, 0, 0, 0, -1])
