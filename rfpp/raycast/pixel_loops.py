@@ -115,7 +115,7 @@ def of_light(
 
     The irradiance of an exact light is β E + mean(w (V - β)): E is the closed form without occlusion, w the irradiance
     of a sample, V its visibility, and β is 1 where all samples of the pixels around the point's see the light, else 0.
-    Because other pixels' samples are independent, this is unbiased; where a light is wholly visible it is exact.
+    β depends on other pixels' samples alone, so no bias is measurable; where a light is wholly visible it is exact.
 
     Args:
         around: [pixels] results of `shares_around`.
