@@ -112,7 +112,7 @@ def _enlarged(
 
 
 def _energy(image: Float[Tensor, "n 3 h w"], unrefined: Float[Tensor, "n 3 h w"]) -> Float[Tensor, "n 1 1 1"]:
-    """Return the mean radiance; lights in view count little."""
+    """Return the mean radiance, in which a highlight counts up to a limit."""
     limit = _BRIGHTER[1] * unrefined.mean((1, 2, 3), keepdim=True)
     return torch.minimum(image, limit).mean((1, 2, 3), keepdim=True)
 
