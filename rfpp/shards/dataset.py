@@ -30,6 +30,9 @@ class ShardSplit(Dataset):
     Args:
         require_all: Check on construction that all local shards exist with their listed size.
 
+    Attributes:
+        shards: its shards, in order.
+
     Raises:
         ShardError: If there is no data set or no such split; if a shard is missing or truncated; if an index differs
             from the manifest's; or if a sample does not have the recorded sha256. Names the file and the fix.
@@ -41,18 +44,18 @@ class ShardSplit(Dataset):
     ) -> None:
         self.manifest = Manifest.load(root, cache)
         self.split = split
-        self._shards = self.manifest.shards(split)
+        self.shards = self.manifest.shards(split)
         self._ends = list(accumulate(self.sizes))
         self._open: OrderedDict[int, tuple[tuple[SampleEntry, ...], int]] = OrderedDict()
         self._triangles: dict[int, list[int]] = {}
         if require_all:
-            for shard in self._shards:
+            for shard in self.shards:
                 shard.store.require(shard.listed)
 
     @property
     def sizes(self) -> list[int]:
         """Number of scenes in each shard."""
-        return [shard.listed.samples for shard in self._shards]
+        return [shard.listed.samples for shard in self.shards]
 
     def __len__(self) -> int:
         return self._ends[-1] if self._ends else 0
@@ -67,7 +70,7 @@ class ShardSplit(Dataset):
         number, position = self._locate(index)
         entries, descriptor = self._opened(number)
         entry = entries[position]
-        return decode(entry.key, self._shards[number].members(descriptor, entry), choose, channels)
+        return decode(entry.key, self.shards[number].members(descriptor, entry), choose, channels)
 
     def key(self, index: int) -> str:
         """Return the key of a sample, without reading it."""
@@ -78,7 +81,7 @@ class ShardSplit(Dataset):
         """Return the number of triangles of a scene, without opening its shard."""
         number, position = self._locate(index)
         if number not in self._triangles:
-            self._triangles[number] = [entry.triangles for entry in self._shards[number].index().samples]
+            self._triangles[number] = [entry.triangles for entry in self.shards[number].index().samples]
         return self._triangles[number][position]
 
     def close(self) -> None:
@@ -106,7 +109,7 @@ class ShardSplit(Dataset):
             return self._open[number]
         if len(self._open) >= _MAX_OPEN:
             os.close(self._open.popitem(last=False)[1][1])
-        shard = self._shards[number]
+        shard = self.shards[number]
         self._open[number] = shard.index().samples, shard.open()
         return self._open[number]
 

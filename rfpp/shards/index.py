@@ -79,7 +79,7 @@ class ShardIndex(Shard):
     def _is_inside_its_shard(self) -> ShardIndex:
         for entry in self.samples:
             if entry.offset + entry.size > self.bytes:
-                raise ValueError(f"sample {entry.key} ends behind its shard")
+                raise ValueError(f"sample {entry.key} ends beyond its shard")
         return self
 
     def to_bytes(self) -> bytes:

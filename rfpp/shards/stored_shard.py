@@ -6,6 +6,7 @@ import hashlib
 import os
 import tarfile
 from dataclasses import dataclass
+from typing import BinaryIO
 
 from pydantic import ValidationError
 
@@ -40,6 +41,16 @@ class StoredShard:
     def open(self) -> int:
         """Return a file descriptor of the tar. Raises ShardError if it is missing or has another size."""
         return self.store.open_tar(self.listed)
+
+    def open_verified(self) -> BinaryIO:
+        """Open the tar after reading it once to check its hash. Raises ShardError if it is missing or damaged."""
+        tar_file = os.fdopen(self.open(), "rb")
+        if hashlib.file_digest(tar_file, "sha256").hexdigest() != self.listed.sha256:
+            tar_file.close()
+            path = f"{self.store.root}/{self.listed.file}"
+            raise ShardError(f"{path}: does not have the sha256 in the manifest: {self.store.remedy(self.listed)}")
+        tar_file.seek(0)
+        return tar_file
 
     def members(self, descriptor: int, entry: SampleEntry) -> dict[str, bytes]:
         """Read the files of a sample from the open tar.

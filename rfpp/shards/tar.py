@@ -6,21 +6,19 @@ import io
 import tarfile
 from collections.abc import Mapping
 
+from webdataset import TarWriter
+
 #: The end of every tar file.
 END_OF_ARCHIVE = bytes(2 * tarfile.BLOCKSIZE)
 
 
 def pack(key: str, members: Mapping[str, bytes]) -> bytes:
-    """Return the tar blocks of files `{key}.{member}` in the given order, without the end of the archive."""
+    """Return the tar blocks of files `{key}.{member}`, sorted, without the end of the archive."""
     blocks = io.BytesIO()
-    for member, data in members.items():
-        entry = tarfile.TarInfo(f"{key}.{member}")
-        entry.size = len(data)
-        entry.mode = 0o644
-        blocks.write(entry.tobuf(tarfile.USTAR_FORMAT))
-        blocks.write(data)
-        blocks.write(bytes(-len(data) % tarfile.BLOCKSIZE))
-    return blocks.getvalue()
+    with TarWriter(blocks, user="", group="", mode=0o644, encoder=False, mtime=0) as archive:
+        archive.write({"__key__": key, **members})
+    size = sum(tarfile.BLOCKSIZE + len(data) + -len(data) % tarfile.BLOCKSIZE for data in members.values())
+    return blocks.getvalue()[:size]
 
 
 def unpack(blocks: bytes) -> tuple[str, dict[str, bytes]]:

@@ -12,20 +12,20 @@ from torch.utils.data import DataLoader
 from rfpp.batch import RaggedBatch
 from rfpp.errors import UserError
 from rfpp.shards.manifest import Manifest
-from rfpp.shards.order import ShuffledOrder, truncated
 from rfpp.shards.views import AllViews
 from rfpp.training.augmentation import Augmentation
 from rfpp.training.batching import Batching
-from rfpp.training.loader import Packing, SceneLoader, SkippingCorrupt
+from rfpp.training.loader import Packing, SceneLoader
+from rfpp.training.readers import Reader
 from rfpp.training.signals import exit_with_parent
 from rfpp.training.source import DataSource
-from rfpp.training.views import GlobalBatches, TrainingViews
+from rfpp.training.views import Share, TrainingViews
 
 
 class SceneDataModule(L.LightningDataModule):
     """Training batches of random views, and validation on unseen scenes.
 
-    Its state is the position in the data order: a resumed run reads no scene twice in an epoch.
+    Its state is the position in the data order: with `IndexedReader`, a resumed run reads no scene twice in an epoch.
 
     Args:
         gbuffer_channels: Channels that the network reads, in order.
@@ -36,6 +36,7 @@ class SceneDataModule(L.LightningDataModule):
     def __init__(
         self,
         source: DataSource,
+        reader: Reader,
         batching: Batching,
         gbuffer_channels: Sequence[str],
         augmentation: Mapping[str, Augmentation | None],
@@ -44,7 +45,8 @@ class SceneDataModule(L.LightningDataModule):
         padded: bool = False,
     ):
         super().__init__()
-        self.source, self.batching, self.channels = source, batching, tuple(gbuffer_channels)
+        self.source, self.reader, self.batching = source, reader, batching
+        self.channels = tuple(gbuffer_channels)
         self.augmentations = [one for one in augmentation.values() if one is not None]
         self.workers, self.seed, self.padded = workers, seed, padded
         self._steps_before = 0
@@ -60,27 +62,22 @@ class SceneDataModule(L.LightningDataModule):
         return self.batching.scenes_per_step // (self.trainer.world_size * self.trainer.accumulate_grad_batches)
 
     def train_dataloader(self) -> DataLoader:
-        split, trainer = self.source.training(), self.trainer
-        sizes = truncated(split.sizes, self.source.training_scenes or len(split))
-        batches = GlobalBatches(
-            ShuffledOrder(sizes, self.seed, self.batching.shuffle_shards),
-            self.batching.partition,
-            lambda draw: self.source.triangles(split, draw[1]),
-            scenes_per_batch=self.batching.scenes_per_step,
-            batches=trainer.max_steps,
+        split, trainer, batching = self.source.training(), self.trainer, self.batching
+        views = TrainingViews(split, self.channels, batching.views_per_scene, self.augmentations, self.seed)
+        share = Share(
+            steps=trainer.max_steps,
             start=self._steps_before,
             rank=trainer.global_rank,
             ranks=trainer.world_size,
             accumulate=trainer.accumulate_grad_batches,
         )
-        views = TrainingViews(split, self.channels, self.batching.views_per_scene, self.augmentations, self.seed)
-        scenes = SkippingCorrupt(views) if self.source.skip_corrupt else views
-        return self._loader(scenes, Packing(self.padded), batch_sampler=batches)
+        options = self.reader(views, self.source, batching, share, self.workers)
+        return self._loader(collate_fn=Packing(self.padded), **options)
 
     def val_dataloader(self) -> DataLoader:
         scenes, trainer = AllViews(self.source.validation(), self.channels), self.trainer
         mine = range(trainer.global_rank, min(self.source.validation_scenes, len(scenes)), trainer.world_size)
-        return self._loader(scenes, RaggedBatch.pack, batch_size=1, sampler=mine)
+        return self._loader(dataset=scenes, collate_fn=RaggedBatch.pack, batch_size=1, sampler=mine)
 
     def state_dict(self) -> dict[str, Any]:
         """Return the order and training's position in it; the loader itself is ahead, because it prefetches."""
@@ -101,16 +98,15 @@ class SceneDataModule(L.LightningDataModule):
         """All settings that determine the global batches."""
         return {
             "seed": self.seed,
+            "datamodule/reader": type(self.reader).__name__,
             "datamodule.batching.scenes_per_step": self.batching.scenes_per_step,
             "datamodule.source.training_scenes": self.source.training_scenes,
             "datamodule.batching.shuffle_shards": self.batching.shuffle_shards,
             "data manifest": self.manifest.hash,
         }
 
-    def _loader(self, dataset, collate, **options) -> DataLoader:
+    def _loader(self, **options: Any) -> DataLoader:
         return SceneLoader(
-            dataset,
-            collate_fn=collate,
             num_workers=self.workers,
             # separate from training's generator: its state would depend on how often the run was resumed
             generator=torch.Generator().manual_seed(self.seed),

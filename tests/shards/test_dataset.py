@@ -56,7 +56,7 @@ def test_tars_are_plain_and_carry_no_clock_or_owner(finished):
     with tarfile.open(finished.root / "train-00000.tar") as archive:
         members = archive.getmembers()
     assert [m.name for m in members[:3]] == [
-        "train-000000.meta.json", "train-000000.geometry.safetensors", "train-000000.cameras.safetensors"
+        "train-000000.cameras.safetensors", "train-000000.geometry.safetensors", "train-000000.meta.json"
     ]  # fmt: skip
     assert len(members) == 2 * (3 + 2 * 4)
     assert {(m.mtime, m.uid, m.gid, m.uname) for m in members} == {(0, 0, 0, "")}

@@ -34,7 +34,7 @@ def test_merged_slices_equal_one_run(tmp_path, finished):
 
 def test_a_slice_is_locked(tmp_path):
     with FileLock(tmp_path / ".slice-1-of-3.lock"):
-        with pytest.raises(UserError, match="another process is making slice 1 of 3"):
+        with pytest.raises(UserError, match="another process is generating slice 1 of 3"):
             make_slice(tmp_path, 1, 3)
         make_slice(tmp_path, 2, 3)
     make_slice(tmp_path, 1, 3)

@@ -24,6 +24,7 @@ from rfpp.shards.manifest import Manifest
 from rfpp.training.augmentation import RigidMotion
 from rfpp.training.batching import BalancedBySize, Batching, Contiguous
 from rfpp.training.datamodule import SceneDataModule
+from rfpp.training.readers import IndexedReader
 from rfpp.training.source import DataSource
 
 SCENES, PER_STEP, STEPS = 7, 4, 5  # two epochs and six scenes
@@ -46,7 +47,10 @@ def datamodule(root, rank: int = 0, ranks: int = 1, accumulate: int = 1, steps: 
         "shuffle_shards": 2,
     }  # fmt: skip
     augmentation = {"rigid": RigidMotion(1.0, 0.25), "color": None}
-    others = {"gbuffer_channels": ("albedo",), "augmentation": augmentation, "workers": 0, "seed": 5}
+    others = {
+        "gbuffer_channels": ("albedo",), "augmentation": augmentation, "workers": 0, "seed": 5,
+        "reader": IndexedReader(),
+    }  # fmt: skip
     assert change.keys() <= {*source, *batching, *others}
     source, batching, others = (
         {name: change.get(name, value) for name, value in part.items()} for part in (source, batching, others)

@@ -12,7 +12,7 @@ from rfpp.shards.dataset import ShardSplit
 from rfpp.shards.order import ShuffledOrder
 from rfpp.training.augmentation import RigidMotion
 from rfpp.training.batching import BalancedBySize, Contiguous, Partition
-from rfpp.training.views import GlobalBatches, TrainingViews
+from rfpp.training.views import GlobalBatches, Share, TrainingViews
 
 CHANNELS = ("albedo", "normal", "position")
 
@@ -39,9 +39,9 @@ def triangles_of(draw: tuple[int, int]) -> int:
     return 2 ** draw[1]
 
 
-def global_batches(partition: Partition, **how) -> list[list[tuple[int, int]]]:
+def global_batches(partition: Partition, scenes_per_step: int = 4, **how) -> list[list[tuple[int, int]]]:
     order = ShuffledOrder([2, 3, 1], seed=1, window=2)
-    return list(GlobalBatches(order, partition, triangles_of, **{"scenes_per_batch": 4, "batches": 6, **how}))
+    return list(GlobalBatches(order, partition, triangles_of, scenes_per_step, Share(**{"steps": 6, **how})))
 
 
 PARTITIONS = (Contiguous(), BalancedBySize())
@@ -83,7 +83,7 @@ def test_a_resumed_run_yields_the_remaining_batches(start, partition):
 
 def test_a_batch_that_does_not_divide_among_ranks_is_refused():
     with pytest.raises(ValueError, match="5 scenes per step do not divide among 2 ranks"):
-        global_batches(Contiguous(), scenes_per_batch=5, ranks=2)
+        global_batches(Contiguous(), scenes_per_step=5, ranks=2)
 
 
 def test_a_training_draw_decodes_its_views_alone(split, monkeypatch):
