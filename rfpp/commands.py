@@ -21,6 +21,7 @@ from omegaconf import DictConfig, OmegaConf
 
 import rfpp.interrupts  # noqa: F401 (one-line messages for Ctrl-C and missing extras)
 from rfpp.allocator import keep_freed_memory
+from rfpp.command_help import help_text
 from rfpp.errors import UserError
 from rfpp.extras import missing_extra
 from rfpp.files import write_atomically
@@ -50,14 +51,14 @@ CONFIG_DIR = carried("conf", "_conf")
 
 def entry_point(
     config_name: str, config_dir: Path = CONFIG_DIR
-) -> Callable[[Callable[[DictConfig], Result]], Callable[[], Result]]:
+) -> Callable[[Callable[[DictConfig], Result]], Callable[[], Result | None]]:
     """Decorate `task(cfg)` into a command that composes `<config_dir>/<config_name>.yaml` and the command line.
 
     A `UserError` is printed as one line on stderr and the process exits with status 1, or 2 if a setting is unknown or
     has an invalid value. The undecorated task is available as `command.__wrapped__`.
     """
 
-    def decorate(task: Callable[[DictConfig], Result]) -> Callable[[], Result]:
+    def decorate(task: Callable[[DictConfig], Result]) -> Callable[[], Result | None]:
         @functools.wraps(task)
         def reporting(cfg: DictConfig) -> Result:
             warnings.formatwarning = _one_line
@@ -92,8 +93,11 @@ def entry_point(
         composed = hydra.main(version_base="1.3", config_path=str(config_dir), config_name=config_name)(reporting)
 
         @functools.wraps(reporting)
-        def command() -> Result:
-            sys.argv[1:] = with_scenes(without_plus(sys.argv[1:]))
+        def command() -> Result | None:
+            sys.argv[1:] = with_scenes(with_groups(without_plus(sys.argv[1:])))
+            if {"-h", "--help"} & {*sys.argv}:
+                print(help_text(task.__globals__["__doc__"], config_name, config_dir, sys.argv[1:]))
+                return None
             if {"-m", "--multirun"} & {*sys.argv}:  # Hydra resolves the time for each run anew; they share a folder
                 os.environ.setdefault("RFPP_SWEEP", time.strftime("%Y-%m-%d_%H-%M-%S"))
             os.environ["HYDRA_FULL_ERROR"] = "1"  # Hydra then raises its errors, and keeps tracebacks of defects
@@ -116,6 +120,16 @@ def entry_point(
 def without_plus(arguments: Sequence[str]) -> list[str]:
     """Return the command line with `experiment=…` for `+experiment=…`."""
     return [given[1:] if given.startswith(_WITH_PLUS) else given for given in arguments]
+
+
+def with_groups(arguments: Sequence[str]) -> list[str]:
+    """Return the command line with `a/b=name` for `a.b=name` where conf/a/b/name.yaml exists."""
+    pairs = [(given, *given.partition("=")[::2]) for given in arguments]
+    files = (CONFIG_DIR / key.replace(".", "/") / f"{name}.yaml" for _, key, name in pairs)
+    return [
+        f"{key.replace('.', '/')}={name}" if "." in key and file.is_file() else given
+        for (given, key, name), file in zip(pairs, files, strict=True)
+    ]
 
 
 def with_scenes(arguments: Sequence[str]) -> list[str]:

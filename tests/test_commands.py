@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from hydra.utils import instantiate
 
-from rfpp.commands import entry_point, settings, with_scenes, without_plus
+from rfpp.commands import entry_point, settings, with_groups, with_scenes, without_plus
 from rfpp.errors import UserError
 
 ROOT = Path(__file__).parents[1]
@@ -25,6 +25,11 @@ def test_plain_file_names_are_scenes():
     assert with_scenes(["chair.glb", "fov=3", "--cfg", "job"]) == ["fov=3", "--cfg", "job", "scene='chair.glb'"]
     assert with_scenes(["it's.OBJ", "b.json"]) == [r"scene=['it\'s.OBJ','b.json']"]
     assert with_scenes(["scene=a.json", "-m"]) == ["scene=a.json", "-m"]
+
+
+def test_groups_may_be_chosen_with_dots():
+    given = ["datamodule.reader=webdataset", "datamodule.reader.buffer=2", "size.width=64", "model.tokenizer=none"]
+    assert with_groups(given) == ["datamodule/reader=webdataset", *given[1:]]
 
 
 def test_the_command_line_takes_a_plus():

@@ -101,7 +101,8 @@ def test_a_network_is_loaded_without_pytorchs_compiler(bare):
 
 
 def test_a_command_prints_its_help(bare):
-    assert "powered by Hydra" in bare("launch/benchmark.py", "benchmark=cost", "--help")
+    said = bare("launch/benchmark.py", "benchmark=cost", "--help")
+    assert "CSV file to write" in said and "rfpp.benchmark.cost" in said  # of the command, and of the benchmark
 
 
 def test_benchmarks_other_than_plots_are_importable(bare):
