@@ -151,10 +151,8 @@ class _Reader:
     def warn(self, path: Path) -> None:
         if textures := self.materials.textures.used:
             warnings.warn(f"{path}: textures are averaged over each triangle ({textures})", stacklevel=5)
-        if self.materials.normal_maps:
-            self.left_out["normal maps"] = None
-        if self.left_out:
-            warnings.warn(f"{path}: left out: {', '.join(self.left_out)}", stacklevel=5)
+        if left_out := [*self.left_out, *sorted(self.materials.left_out)]:
+            warnings.warn(f"{path}: left out: {', '.join(left_out)}", stacklevel=5)
 
     def _node(self, index: int) -> Entry:
         return self.document.at("nodes", index)

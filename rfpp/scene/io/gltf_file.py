@@ -15,8 +15,9 @@ from rfpp.scene.io.limits import MAX_BYTES, MAX_JSON_BYTES, MAX_TRIANGLES, besid
 
 #: Extensions that a file may require; all others would change its meaning. Transmission is refused where it is used.
 _KNOWN = {"EXT_texture_webp", "KHR_lights_punctual", "KHR_materials_emissive_strength", "KHR_materials_ior",
-          "KHR_materials_specular", "KHR_materials_transmission", "KHR_materials_volume", "KHR_materials_unlit",
-          "KHR_materials_variants", "KHR_mesh_quantization", "KHR_texture_transform"}  # fmt: skip
+          "KHR_materials_pbrSpecularGlossiness", "KHR_materials_specular", "KHR_materials_transmission",
+          "KHR_materials_unlit", "KHR_materials_variants", "KHR_materials_volume", "KHR_mesh_quantization",
+          "KHR_texture_transform"}  # fmt: skip
 _ENVIRONMENTS = {"EXT_lights_image_based", "KHR_lights_environment", "EXT_lights_ies"}
 _COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}

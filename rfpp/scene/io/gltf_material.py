@@ -8,6 +8,8 @@
 | roughness | roughness: both square it |
 | emitted radiance | emissive factor · emissive strength, of the front only unless `doubleSided` |
 
+With `KHR_materials_pbrSpecularGlossiness`: diffuse · (1 − largest specular), specular, and 1 − glossiness.
+
 F0 is glTF's reflectance at normal incidence, and the specular albedo here at every angle: there is no Fresnel term. The
 two albedos add up to at most 1. Textures of base color, metallic and roughness, and emission are multiplied with the
 factors after being averaged over each triangle, vertex colors with the base color. Of an emissive texture less than a
@@ -33,8 +35,14 @@ from rfpp.scene.io.image_texture import Textures, require_few_pixels
 from rfpp.scene.io.imported_scene import GREY, name_of, plain_material
 from rfpp.scene.triangles import DIFFUSE, EMISSION, ROUGHNESS, SPECULAR
 
+_GLOSSINESS = "KHR_materials_pbrSpecularGlossiness"
+#: Extensions of materials that are represented, or that say nothing beyond others.
+_KNOWN = {"diffuse_transmission", "emissive_strength", "ior", "pbrSpecularGlossiness", "specular", "transmission",
+          "volume"}  # fmt: skip
 _GLOWS = 0.1
 _OPAQUE = 0.99
+#: Rows of the faces, and their alpha.
+_Surface = tuple[Float[np.ndarray, "f 10"], Float[np.ndarray, " f"]]
 
 
 @dataclass
@@ -42,11 +50,11 @@ class GltfMaterials:
     """Materials of one file.
 
     Attributes:
-        normal_maps: True if any was left out.
+        left_out: names of what materials have and rows do not represent.
     """
 
     file: GltfFile
-    normal_maps: bool = False
+    left_out: set[str] = field(default_factory=set)
     textures: Textures = field(default_factory=Textures)
 
     def rows(
@@ -76,29 +84,49 @@ class GltfMaterials:
             why = "transmission" if _extension(material, kind).get(factor, SHARE, 0.0) else why
         return rows, present, f"{name} ({why})" if why else ""
 
-    def _rows(self, material: Entry, geometry: Geometry, colors: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
-        pbr, faces = material.entry("pbrMetallicRoughness"), len(geometry.faces)
-        self.normal_maps |= "normalTexture" in material
+    def _rows(self, material: Entry, geometry: Geometry, colors: np.ndarray | None) -> _Surface:
+        self.left_out |= {name.removeprefix("KHR_materials_") for name in material.entry("extensions").values} - _KNOWN
+        if "normalTexture" in material:
+            self.left_out.add("normal maps")
+        surface = self._specular if _GLOSSINESS in material.entry("extensions") else self._metallic
+        rows, alpha = surface(material, geometry, colors)
+        strength = _extension(material, "emissive_strength").get("emissiveStrength", POSITIVE, 1.0)
+        rows[:, EMISSION] = np.multiply(material.get("emissiveFactor", RGB, (0, 0, 0)), strength)
+        if "emissiveTexture" in material and rows[:, EMISSION].any():
+            glow = rows[:, EMISSION] * self._means(material.entry("emissiveTexture"), geometry, color=True)[:, :3]
+            rows[:, EMISSION] = np.where(glow.max(axis=1, keepdims=True) < _GLOWS * glow.max(), 0, glow)
+        return rows, alpha
 
-        base = np.tile(np.array(pbr.get("baseColorFactor", RGBA, (1, 1, 1, 1)), np.float32), (faces, 1))
-        if "baseColorTexture" in pbr:
-            base *= self._means(pbr.entry("baseColorTexture"), geometry, color=True)
-        if colors is not None:
-            base *= colors
+    def _metallic(self, material: Entry, geometry: Geometry, colors: np.ndarray | None) -> _Surface:
+        pbr, faces = material.entry("pbrMetallicRoughness"), len(geometry.faces)
+        base = self._color(pbr, "baseColor", geometry, colors)
         metallic, roughness = (
             np.full(faces, pbr.get(key, SHARE, 1.0)) for key in ("metallicFactor", "roughnessFactor")
         )
         if "metallicRoughnessTexture" in pbr:
             _, green, blue, _ = self._means(pbr.entry("metallicRoughnessTexture"), geometry, color=False).T
             metallic, roughness = metallic * blue, roughness * green
+        return metallic_roughness(base[:, :3], metallic, roughness, _reflectance(material)), base[:, 3]
 
-        rows = metallic_roughness(base[:, :3], metallic, roughness, _reflectance(material))
-        strength = _extension(material, "emissive_strength").get("emissiveStrength", POSITIVE, 1.0)
-        rows[:, EMISSION] = np.multiply(material.get("emissiveFactor", RGB, (0, 0, 0)), strength)
-        if "emissiveTexture" in material and rows[:, EMISSION].any():
-            glow = rows[:, EMISSION] * self._means(material.entry("emissiveTexture"), geometry, color=True)[:, :3]
-            rows[:, EMISSION] = np.where(glow.max(axis=1, keepdims=True) < _GLOWS * glow.max(), 0, glow)
-        return rows, base[:, 3]
+    def _specular(self, material: Entry, geometry: Geometry, colors: np.ndarray | None) -> _Surface:
+        pbr, faces = material.entry("extensions", _GLOSSINESS), len(geometry.faces)
+        diffuse = self._color(pbr, "diffuse", geometry, colors)
+        specular = np.tile(np.minimum(pbr.get("specularFactor", RGB, (1, 1, 1)), 1.0), (faces, 1))
+        glossiness = np.full(faces, pbr.get("glossinessFactor", SHARE, 1.0))
+        if "specularGlossinessTexture" in pbr:
+            means = self._means(pbr.entry("specularGlossinessTexture"), geometry, color=True)
+            specular, glossiness = specular * means[:, :3], glossiness * means[:, 3]
+        rows = np.zeros((faces, 10), np.float32)
+        rows[:, DIFFUSE] = diffuse[:, :3] * (1 - specular.max(axis=1, keepdims=True))
+        rows[:, SPECULAR], rows[:, ROUGHNESS] = specular, 1 - glossiness[:, None]
+        return rows, diffuse[:, 3]
+
+    def _color(self, pbr: Entry, name: str, geometry: Geometry, colors: np.ndarray | None) -> Float[np.ndarray, "f 4"]:
+        """Return the product of a factor, its texture and vertex colors."""
+        color = np.tile(np.array(pbr.get(f"{name}Factor", RGBA, (1, 1, 1, 1)), np.float32), (len(geometry.faces), 1))
+        if f"{name}Texture" in pbr:
+            color *= self._means(pbr.entry(f"{name}Texture"), geometry, color=True)
+        return color if colors is None else color * colors
 
     def require_few_pixels(self) -> None:
         """Raise SceneError for too many pixels in all pictures of its materials, before any is decoded."""
@@ -109,10 +137,12 @@ class GltfMaterials:
         seen = set()
         for index in range(len(self.file.document.items("materials"))):
             material = self.file.document.at("materials", index)
-            pbr = material.entry("pbrMetallicRoughness")
+            pbr, glossy = material.entry("pbrMetallicRoughness"), material.entry("extensions", _GLOSSINESS)
             for holder, key in (
                 (pbr, "baseColorTexture"),
                 (pbr, "metallicRoughnessTexture"),
+                (glossy, "diffuseTexture"),
+                (glossy, "specularGlossinessTexture"),
                 (material, "emissiveTexture"),
             ):
                 with contextlib.suppress(SceneError):

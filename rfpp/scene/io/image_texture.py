@@ -87,7 +87,7 @@ class Textures:
         return len(self._seen)
 
     def get(self, key: Hashable, color: bool, read: Callable[[], bytes]) -> ImageTexture:
-        """Return the texture whose file `read` returns. Raises SceneError like `ImageTexture`."""
+        """Return the texture decoded from the bytes of `read`. Raises SceneError like `ImageTexture`."""
         if (key, color) not in self._kept:
             texture = ImageTexture(read(), color, _MAX_PIXELS_OF_A_FILE - self._pixels)
             self._pixels += texture.pixels

@@ -91,6 +91,17 @@ def test_a_scene_of_everything_together(tmp_path: Path) -> None:
             },
             [0.98] * 3 + [0.02, 0, 0] + [1],
         ),
+        (
+            {
+                "extensions": {
+                    "KHR_materials_pbrSpecularGlossiness": {
+                        "diffuseFactor": [0.5, 0.25, 0, 1], "specularFactor": [0.2, 0.1, 0], "glossinessFactor": 0.7,
+                    }
+                }
+            },
+            [0.4, 0.2, 0, 0.2, 0.1, 0, 0.3],
+        ),
+        ({"pbrMetallicRoughness": {"metallicFactor": 1.00000012, "roughnessFactor": 0.5}}, [0, 0, 0, 1, 1, 1, 0.5]),
     ],
 )
 def test_materials_are_mapped_as_documented(material: dict, expected: list, tmp_path: Path) -> None:
@@ -192,6 +203,30 @@ def test_points_and_lines_animations_and_normal_maps_are_left_out_with_a_notice(
     builder.document["animations"] = [{}]
     with pytest.warns(UserWarning, match="left out: animations, points and lines, orthographic cameras, normal maps"):
         assert len(read(builder, tmp_path).parts) == 1
+
+
+def test_unsupported_extensions_of_materials_are_left_out_with_a_notice(tmp_path: Path) -> None:
+    builder = GltfBuilder()
+    names = ("sheen", "clearcoat", "ior", "pbrSpecularGlossiness")
+    builder.node(builder.primitive(material={"extensions": {f"KHR_materials_{name}": {} for name in names}}))
+    with pytest.warns(UserWarning, match="left out: clearcoat, sheen$"):
+        read(builder, tmp_path)
+
+
+def test_textures_of_specular_and_glossiness_vary_over_the_faces(tmp_path: Path) -> None:
+    builder = GltfBuilder()
+    positions = np.array([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0]] * 2)
+    uv = np.array([[0.1, 0.1], [0.2, 0.1], [0.1, 0.9], [0.6, 0.1], [0.9, 0.1], [0.6, 0.9]])
+    attributes = {"TEXCOORD_0": builder.accessor(uv)}
+    shiny = builder.texture(np.array([[[255, 255, 255, 255], [0, 0, 0, 51]]] * 2))
+    painted = builder.texture(np.array([[[255, 255, 255, 255], [0, 255, 0, 255]]] * 2))
+    glossy = {"specularGlossinessTexture": shiny, "diffuseTexture": painted, "specularFactor": [0.25] * 3}
+    material = {"extensions": {"KHR_materials_pbrSpecularGlossiness": glossy}}
+    builder.node(builder.primitive(positions, np.arange(6), material, attributes))
+    (part,) = read(builder, tmp_path).parts
+    np.testing.assert_allclose(part.material[:, DIFFUSE], [[0.75] * 3, [0, 1, 0]], atol=1e-3)
+    np.testing.assert_allclose(part.material[:, SPECULAR], [[0.25] * 3, [0] * 3], atol=1e-3)
+    np.testing.assert_allclose(part.material[:, ROUGHNESS][:, 0], [0, 0.8], atol=1e-3)
 
 
 @pytest.mark.parametrize(("normals", "smooth"), [(None, False), ([0, 1, 0], False), ([0, 0.8, 0.6], True)])
