@@ -13,6 +13,7 @@ import rfpp.interrupts  # noqa: F401 (first, because the imports below take seco
 
 # isort: split
 import time
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -33,6 +34,7 @@ from rfpp.inference.references import path_traced
 from rfpp.inference.render_settings import RenderSettings
 from rfpp.inference.stills import (
     bounce_layers,
+    darkness,
     gbuffer_layers,
     light_layers,
     write_comparison,
@@ -123,8 +125,10 @@ class Command:
         count = f"{len(files)} view{'s' * (len(files) > 1)} of {self.size[1]} x {self.size[0]}"
         self.console.print(f"{scene.name}: {count} in {time.perf_counter() - begin:.2f} s")
         notes = self._compare(scene, images, files, count) if self.cycles else [""] * len(files)
-        for file, note in zip(files, notes, strict=True):
+        for file, note, image in zip(files, notes, images, strict=True):
             self.console.print(f"  {file}, {file.with_suffix('.png').name}{note}")
+            if advice := darkness(image, self.tone_map):
+                warnings.warn(f"{file.with_suffix('.png')}: {advice}", stacklevel=2)
         return files
 
     def _compare(self, scene: PackedScene, images: Sequence, files: Sequence[Path], count: str) -> list[str]:

@@ -15,7 +15,7 @@ from rfpp.raycast.first_hit import CHANNELS
 from rfpp.scene.io.backdrop import Backdrop
 from rfpp.scene.io.loading import load_scene
 from rfpp.scene.packed import PackedScene
-from rfpp.scene.spec import Scene, Strict
+from rfpp.scene.spec import Camera, Scene, Strict
 
 #: Suffixes of `output` that make it a file instead of a folder.
 _FILES = (".exr", ".png", ".mp4")
@@ -41,6 +41,7 @@ class RenderSettings(Strict):
     output: Path
     resolution: Annotated[tuple[Positive, Positive] | None, BeforeValidator(_as_square)]
     cameras: Annotated[tuple[Index, ...] | None, BeforeValidator(_as_list)]
+    camera: Annotated[Camera | None, BeforeValidator(lambda camera: camera if camera["position"] else None)]
     triangles: Positive | None
     up: Literal["y", "z"] | None
     transparent: Literal["opaque", "drop", "refuse"]
@@ -90,8 +91,13 @@ class RenderSettings(Strict):
         return cls(**{name: values[name] for name in cls.model_fields})
 
     def load(self, scene: Path) -> Scene | PackedScene:
-        """Load one of the scenes."""
-        return load_scene(scene, **self.model_dump(include={"triangles", "up", "transparent", "backdrop"}))
+        """Load one of the scenes; `camera` replaces its cameras."""
+        loaded = load_scene(scene, **self.model_dump(include={"triangles", "up", "transparent", "backdrop"}))
+        if self.camera is None:
+            return loaded
+        if isinstance(loaded, PackedScene):
+            return loaded.seen_by([self.camera])
+        return loaded.model_copy(update={"cameras": (self.camera,)})
 
     @property
     def sampling(self) -> dict[str, int | None]:

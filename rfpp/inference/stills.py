@@ -20,6 +20,8 @@ from rfpp.raycast.first_hit import CHANNELS, COLOR_CHANNELS
 Image = Float[np.ndarray, "h w 3"]
 Layers = dict[str, np.ndarray]
 Target = TypeVar("Target")
+#: 8-bit values below which nothing is seen.
+_DARK = 24
 #: Channels that half precision would round visibly.
 _FLOAT32 = ("depth", "position")
 
@@ -28,6 +30,15 @@ def write_still(image: Image, target: Path, tone_map: ToneMap, layers: Mapping[s
     """Write linear radiance and further layers as EXR, and a tone-mapped PNG beside it. Raises UserError."""
     write_exr(target, {"RGB": compact(image), **(layers or {})})
     save_picture(tone_map(image), target.with_suffix(".png"))
+
+
+def darkness(image: Image, tone_map: ToneMap) -> str | None:
+    """Return how to brighten a picture in which even the brightest pixels are dark, or None."""
+    if np.quantile(tone_map(image).max(axis=-1), 0.99) >= _DARK:
+        return None
+    if not (level := float(np.quantile(image.max(axis=-1), 0.99))) > 0:
+        return "no light reaches what the camera sees: add a light there, or open the room"
+    return f"99% of its pixels are almost black: try exposure={np.ceil(np.log2(0.5 / level)):.0f}, or add lights"
 
 
 def write_comparison(

@@ -11,7 +11,14 @@ from known_scenes import look_at, still_life
 
 from rfpp.imaging.exr import read_exr
 from rfpp.imaging.tone_maps import SRGB
-from rfpp.inference.stills import bounce_layers, gbuffer_layers, light_layers, write_still, written_in_background
+from rfpp.inference.stills import (
+    bounce_layers,
+    darkness,
+    gbuffer_layers,
+    light_layers,
+    write_still,
+    written_in_background,
+)
 from rfpp.raycast.first_hit import channel, first_hit, stack_channels
 
 NAMES = ("normal", "depth", "albedo", "roughness", "position")
@@ -80,3 +87,14 @@ def test_rendering_stops_when_writing_fails():
     with pytest.raises(OSError, match="No space left"):
         list(written_in_background(rendering(), list("abcd"), write))
     assert rendered == [0, 1]
+
+
+def test_a_picture_without_visible_pixels_comes_with_advice():
+    assert darkness(IMAGES[0], SRGB()) is None
+    small = np.zeros((40, 40, 3), np.float32)
+    small[:6, :6] = 0.5  # a small object before a black background
+    assert darkness(small, SRGB()) is None
+    dim = np.full((40, 40, 3), 0.001, np.float32)
+    assert "try exposure=9" in darkness(dim, SRGB())
+    assert darkness(dim, SRGB(9)) is None
+    assert "no light reaches" in darkness(np.zeros_like(dim), SRGB())

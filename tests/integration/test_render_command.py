@@ -18,6 +18,7 @@ from rfpp.commands import CONFIG_DIR
 from rfpp.imaging.exr import read_exr
 from rfpp.scene.io.loading import load_scene
 from rfpp.scene.io.saving import save_scene
+from rfpp.scene.spec import Camera
 
 BOX = CONFIG_DIR.parent / "data" / "scenes" / "cornell_box.json"
 
@@ -93,6 +94,16 @@ def test_layers_of_lights_and_of_bounces_add_up(render, tmp_path):
     np.testing.assert_allclose(sum(layers[name] for name in bounces), layers["RGB"], rtol=1e-2, atol=1e-3)
     means = [layers[name].mean(dtype=np.float64) for name in bounces]
     assert all(more > less > 0 for more, less in pairwise(means))
+
+
+def test_a_camera_may_be_placed(render, refused, tmp_path):
+    placed = ["camera.position=[0.3,-1.5,0.2]", "camera.fov=50", "output=" + str(tmp_path / "placed.exr")]
+    [file], _ = render(f"scene={BOX}", *placed)
+    camera = Camera(position=(0.3, -1.5, 0.2), look_at=(0, 0, 0), fov=50)
+    loaded = load_scene(BOX).model_copy(update={"cameras": (camera,)})
+    [expected] = Renderer(network(), checkpoint_info()).render(loaded, (16, 16))
+    np.testing.assert_allclose(read_exr(file)["RGB"], expected, rtol=2e-3, atol=1e-4)
+    assert "look_at equals position" in refused(f"scene={BOX}", "camera.position=[0,0,0]")
 
 
 def test_transports_are_an_option(render):
