@@ -38,7 +38,7 @@ class TriangleEmbedding(nn.Module):
 
     def forward(self, batch: RaggedBatch) -> Float[Tensor, "m width"]:
         if batch.texture is not None:
-            raise UserError(f"{batch.keys[0]}: textured triangles, but this network knows one material per triangle")
+            raise UserError(f"{batch.keys[0]}: textured triangles, but this network takes one material per triangle")
         material = self.material_proj(torch.cat([batch.material[:, :7], batch.log_emission], dim=-1))
         normals = self.normal_proj(self.normal_encoding(batch.normals.flatten(1)))
         tokens: Tensor = self.token + self.material_norm(material) + self.normal_norm(normals)

@@ -55,7 +55,7 @@ class AttentionPattern:
         equal_length: int = 0,
     ):
         if order is not None and keys is not None:
-            raise ValueError("an order of the rows is for self-attention")
+            raise ValueError("`order` requires self-attention")
         keys = queries if keys is None else keys
         if len(queries) != len(keys):
             raise ValueError(f"{len(queries)} query segments for {len(keys)} key segments")
