@@ -40,6 +40,12 @@ def compiled(function: Callable[P, R]) -> Callable[P, R]:
     return cast(Callable[P, R], faster)  # Numba's decorator has no types
 
 
+def is_compiled() -> bool:
+    """Return whether machine code of this version's ray loops is on disk."""
+    config: Any = numba.config
+    return any(Path(config.CACHE_DIR or _cache_folder(Path(__file__).parent)).rglob("*.nbc"))
+
+
 @cache
 def _cache_folder(package: Path) -> str:
     """Return a cache folder for the current sources.

@@ -8,9 +8,11 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, TypeVar
 
 import fsspec
+from fsspec.callbacks import Callback
 
 from rfpp.errors import MissingDependencyError, ShardError, UserError
 from rfpp.shards.cache import ShardCache
@@ -25,6 +27,8 @@ REMEDY = "run launch/generate.py again with the same experiment"
 
 #: Seconds to wait before repeating a failed transfer.
 _PAUSES = (0.5, 2.0, 8.0)
+#: Bytes per second that a server must send, after seconds in which it may be slower.
+_MIN_RATE, _GRACE = 50_000, 20.0
 _NO_SPACE = (errno.ENOSPC, errno.EDQUOT)
 
 
@@ -82,7 +86,10 @@ class RemoteStore:
     cache: ShardCache
 
     def read(self, file: str) -> bytes:
-        return self._with_retries(file, lambda files, path: files.cat_file(path))
+        with TemporaryDirectory() as folder:
+            target = Path(folder) / file
+            self._with_retries(file, lambda files, path: files.get_file(path, str(target), callback=_MinimumRate()))
+            return target.read_bytes()
 
     def require(self, shard: Shard) -> None:
         """Do nothing: remote files are checked when they are fetched."""
@@ -103,7 +110,7 @@ class RemoteStore:
     def _cached(self, file: str, sha256: str, size: int) -> int:
         def fetch(target: Path) -> None:
             def transfer(files: Any, path: str) -> None:
-                files.get_file(path, str(target))
+                files.get_file(path, str(target), callback=_MinimumRate())
                 if (received := target.stat().st_size) != size:
                     raise _TruncatedError(f"truncated or altered: {received} bytes, the manifest says {size}")
 
@@ -117,7 +124,7 @@ class RemoteStore:
     def _with_retries(self, file: str, transfer: Callable[[Any, str], Result]) -> Result:
         url = f"{self.root}/{file}"
         try:
-            files, path = fsspec.core.url_to_fs(url)
+            files, path = fsspec.core.url_to_fs(url, **_time_limits(url))
         except ImportError as error:
             raise MissingDependencyError(f"{url}: {error}") from error
         except ValueError as error:
@@ -143,6 +150,30 @@ class RemoteStore:
 
 class _TruncatedError(Exception):
     """A download of the wrong size."""
+
+
+class _MinimumRate(Callback):
+    """Raises TimeoutError in a transfer that has become slower than _MIN_RATE on average."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._begin = time.monotonic()
+
+    def relative_update(self, inc: int = 1) -> None:
+        super().relative_update(inc)
+        seconds = time.monotonic() - self._begin
+        if seconds > _GRACE and self.value < _MIN_RATE * seconds:
+            raise TimeoutError(f"slower than {_MIN_RATE} bytes per second")
+
+
+def _time_limits(url: str) -> dict[str, Any]:
+    """Return fsspec's options that limit connecting and waiting for data; object stores have limits of their own."""
+    if not url.startswith("http"):
+        return {}
+    from aiohttp import ClientTimeout
+
+    timeout = ClientTimeout(total=None, sock_connect=_GRACE, sock_read=_GRACE)
+    return {"client_kwargs": {"timeout": timeout}}
 
 
 Store = FolderStore | RemoteStore

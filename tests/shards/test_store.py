@@ -8,6 +8,7 @@ import os
 import shutil
 import tarfile
 import threading
+import time
 from functools import partial
 from pathlib import Path
 
@@ -36,6 +37,14 @@ class Handler(http.server.SimpleHTTPRequestHandler):
             self.end_headers()
             self.wfile.write(content[: len(content) // 2])
             return
+        if name in self.server.slow:
+            self.send_response(200)
+            self.send_header("Content-Length", "1000")
+            self.end_headers()
+            for _ in range(40):
+                self.wfile.write(b"x" * self.server.slow[name])
+                time.sleep(0.05)
+            return
         super().do_GET()
 
     def log_message(self, *_):
@@ -45,7 +54,7 @@ class Handler(http.server.SimpleHTTPRequestHandler):
 @pytest.fixture
 def server(finished):
     with http.server.ThreadingHTTPServer(("127.0.0.1", 0), partial(Handler, directory=str(finished.root))) as running:
-        running.requests, running.cut = [], {}
+        running.requests, running.cut, running.slow = [], {}, {}
         running.url = f"http://127.0.0.1:{running.server_port}"
         thread = threading.Thread(target=running.serve_forever)
         thread.start()
@@ -131,6 +140,16 @@ def test_a_truncated_download_is_retried_then_named(server, cache):
     with pytest.raises(UserError, match=r"http.*train-00001\.tar: cannot be fetched after 3 attempts"):
         ShardSplit(server.url, "train", cache)[2]
     assert cached(cache, "*.tar") == ["train-00000.tar"]
+
+
+@pytest.mark.parametrize("bytes_at_once", [0, 1])
+def test_a_slow_or_silent_server_is_left(server, cache, monkeypatch, bytes_at_once):
+    monkeypatch.setattr(store, "_GRACE", 0.2)
+    server.slow["train-00000.tar"] = bytes_at_once
+    with pytest.raises(UserError, match=r"train-00000\.tar: cannot be fetched after 3 attempts \((slower|[Tt]imeout)"):
+        ShardSplit(server.url, "train", cache)[0]
+    assert server.requests.count("train-00000.tar") == 3
+    assert ShardSplit(server.url, "train", cache)[2].key == "train-000002"
 
 
 def test_a_shard_of_another_size_is_named(copied, cache):
