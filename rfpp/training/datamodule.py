@@ -98,7 +98,7 @@ class SceneDataModule(L.LightningDataModule):
         """All settings that determine the global batches."""
         return {
             "seed": self.seed,
-            "datamodule/reader": type(self.reader).__name__,
+            "datamodule.reader": self.reader.name,
             "datamodule.batching.scenes_per_step": self.batching.scenes_per_step,
             "datamodule.source.training_scenes": self.source.training_scenes,
             "datamodule.batching.shuffle_shards": self.batching.shuffle_shards,

@@ -16,6 +16,9 @@ from rfpp.training.views import GlobalBatches, Share, TrainingViews
 class Reader(Protocol):
     """Returns a DataLoader's data set and batches: the share of a rank in a run's global batches."""
 
+    #: Name in conf/datamodule/reader.
+    name: str
+
     def __call__(
         self, views: TrainingViews, source: DataSource, batching: Batching, share: Share, workers: int
     ) -> dict[str, Any]: ...
@@ -23,6 +26,8 @@ class Reader(Protocol):
 
 class IndexedReader:
     """Single scenes by their byte offsets: the same global batches for any number of ranks and loader processes."""
+
+    name = "indexed"
 
     def __call__(
         self, views: TrainingViews, source: DataSource, batching: Batching, share: Share, workers: int
@@ -45,6 +50,8 @@ class WebDatasetReader:
         buffer: Scenes among which each loader process shuffles.
     """
 
+    name = "webdataset"
+
     def __init__(self, buffer: int):
         if buffer < 1:
             raise ValueError(f"datamodule.reader.buffer={buffer}: use 1 or more")
@@ -58,7 +65,7 @@ class WebDatasetReader:
         if len(sizes) < (processes := share.ranks * max(workers, 1)):
             raise UserError(
                 f"{len(sizes)} shards do not divide among {processes} loader processes: lower datamodule.workers, or "
-                "choose datamodule/reader=indexed"
+                "choose datamodule.reader=indexed"
             )
         scenes = batching.scenes_per_step // (share.ranks * share.accumulate)
         streamed = StreamedViews(views, sizes, share, scenes, self.buffer, source.skip_corrupt)

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from itertools import count, islice
-from typing import Any, NamedTuple
+from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 from torch.utils.data import IterableDataset, get_worker_info
@@ -90,10 +90,17 @@ class StreamedViews(IterableDataset):
                 scenes_before = max(0, scenes_before - self.sizes[shard])
 
     def _stored(self, visits: Iterator[_Visit]) -> Iterator[Mapping[str, Any]]:
-        """Yield stored scenes by member, with (epoch, scene) as `__draw__`; the next shard is fetched meanwhile."""
-        shards = self.views.split.shards
-        firsts = np.cumsum([0, *(shard.listed.samples for shard in shards)]).tolist()
-        lost = 0
+        """Yield stored scenes by member, with (epoch, scene) as `__draw__`."""
+        firsts = np.cumsum([0, *self.views.split.sizes]).tolist()
+        for visit, tar_file in self._opened(visits):
+            with tar_file:
+                stored = group_by_keys(tar_file_expander([{"url": tar_file.name, "stream": tar_file}]))
+                for position, sample in islice(enumerate(stored), visit.start, self.sizes[visit.shard]):
+                    yield {**sample, "__draw__": (visit.epoch, firsts[visit.shard] + position)}
+
+    def _opened(self, visits: Iterator[_Visit]) -> Iterator[tuple[_Visit, BinaryIO]]:
+        """Yield verified tars. While one is read, a thread fetches the next."""
+        shards, lost = self.views.split.shards, 0
         with ThreadPoolExecutor(1) as pool:
             following = next(visits)
             fetched = pool.submit(shards[following.shard].open_verified)
@@ -101,15 +108,11 @@ class StreamedViews(IterableDataset):
                 visit, current, following = following, fetched, next(visits)
                 fetched = pool.submit(shards[following.shard].open_verified)
                 try:
-                    stream = current.result()
+                    tar_file, lost = current.result(), 0
                 except ShardError as error:
                     lost += 1
                     if not self.skip_corrupt or lost > len(shards):
                         raise
                     warnings.warn(f"skipped: {error}", stacklevel=2)
-                    continue
-                lost = 0
-                with stream:
-                    stored = group_by_keys(tar_file_expander([{"url": stream.name, "stream": stream}]))
-                    for position, sample in islice(enumerate(stored), visit.start, self.sizes[visit.shard]):
-                        yield {**sample, "__draw__": (visit.epoch, firsts[visit.shard] + position)}
+                else:
+                    yield visit, tar_file

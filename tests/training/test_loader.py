@@ -24,7 +24,7 @@ from rfpp.shards.manifest import Manifest
 from rfpp.training.augmentation import RigidMotion
 from rfpp.training.batching import BalancedBySize, Batching, Contiguous
 from rfpp.training.datamodule import SceneDataModule
-from rfpp.training.readers import IndexedReader
+from rfpp.training.readers import IndexedReader, WebDatasetReader
 from rfpp.training.source import DataSource
 
 SCENES, PER_STEP, STEPS = 7, 4, 5  # two epochs and six scenes
@@ -148,6 +148,7 @@ def test_accumulation_divides_the_same_batches(root, uninterrupted):
     ("change", "named"),
     [
         ({"seed": 6}, "seed=5, this one 6"),
+        ({"reader": WebDatasetReader(2)}, "datamodule.reader=indexed, this one webdataset"),
         ({"scenes_per_step": 2}, "datamodule.batching.scenes_per_step=4, this one 2"),
         ({"shuffle_shards": 1}, "datamodule.batching.shuffle_shards=2, this one 1"),
         ({"training_scenes": 3}, "datamodule.source.training_scenes=None, this one 3"),
