@@ -132,6 +132,19 @@ def test_one_global_batch_is_one_step_however_it_is_divided(how, folder, data, t
     assert (weights(other) - weights(last(alone))).abs().max() < 1e-3 * moved
 
 
+@pytest.mark.parametrize("ranks", [1, 2])
+def test_a_streamed_run_without_buffer_ends_with_the_same_bits(ranks, folder, data):
+    streamed = (*RUN, "datamodule.reader=webdataset", "datamodule.reader.buffer=1")
+    whole = train(folder / f"streamed-{ranks}", data, *streamed, ranks=ranks)
+    run_dir = folder / f"streamed-again-{ranks}"
+    shutil.copytree(folder / f"streamed-{ranks}" / "checkpoints", run_dir / "checkpoints", symlinks=True)
+    for step in (STEPS, STEPS - 1):
+        step_file(run_dir / "checkpoints", step).unlink()
+    ended = train(run_dir, data, *streamed, ranks=ranks)
+    assert "Resumes" in output(run_dir)
+    assert differing(ended, whole) == []
+
+
 def test_a_resumed_run_takes_the_settings_of_its_command(folder, data, alone):
     run_dir = folder / "slower"
     for part in ("checkpoints", "tracking"):
