@@ -43,6 +43,7 @@ class RenderSettings(Strict):
     cameras: Annotated[tuple[Index, ...] | None, BeforeValidator(_as_list)]
     camera: Annotated[Camera | None, BeforeValidator(lambda camera: camera if camera["position"] else None)]
     triangles: Positive | None
+    detail: Index
     up: Literal["y", "z"] | None
     transparent: Literal["opaque", "drop", "refuse"]
     backdrop: Backdrop
@@ -92,7 +93,7 @@ class RenderSettings(Strict):
 
     def load(self, scene: Path) -> Scene | PackedScene:
         """Load one of the scenes; `camera` replaces its cameras."""
-        loaded = load_scene(scene, **self.model_dump(include={"triangles", "up", "transparent", "backdrop"}))
+        loaded = load_scene(scene, **self.model_dump(include={"triangles", "detail", "up", "transparent", "backdrop"}))
         if self.camera is None:
             return loaded
         if isinstance(loaded, PackedScene):

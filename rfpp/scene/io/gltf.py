@@ -11,19 +11,22 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from rfpp.errors import SceneError
 from rfpp.scene.io.gltf_file import GltfFile
 from rfpp.scene.io.gltf_json import FLAG, INDEX, INDICES, MATRIX, POSITIVE, QUATERNION, RGB, TEXT, VECTOR, YFOV, Entry
-from rfpp.scene.io.gltf_material import GltfMaterials
+from rfpp.scene.io.gltf_material import GltfSurface
 from rfpp.scene.io.gltf_primitive import Geometry
-from rfpp.scene.io.imported_scene import BEYOND, ImportedScene, Part, PunctualLight, name_of, z_up
+from rfpp.scene.io.gltf_textures import GltfTextures
+from rfpp.scene.io.imported_scene import BEYOND, ImportedScene, Part, PunctualLight, name_of, plain_material, z_up
 from rfpp.scene.io.limits import require_bounded
+from rfpp.scene.io.texture_detail import TEXTURE_TRIANGLES, TexturedPart, detail_notice, with_detail
 from rfpp.scene.mesh import Mesh
 from rfpp.scene.spec import Camera
 
@@ -31,39 +34,40 @@ _LUMENS_PER_WATT = 683.0
 _PUNCTUAL = "KHR_lights_punctual"
 
 
-def read_gltf(path: Path) -> ImportedScene:
-    """Read a .gltf or .glb file.
+def read_gltf(path: Path, detail: int = TEXTURE_TRIANGLES, most: int | None = None) -> ImportedScene:
+    """Read a .gltf or .glb file; see `with_detail`.
 
     Warns of content that is left out. Raises SceneError, without the file's name.
     """
-    return _scene(GltfFile.at(path), path)
+    return _scene(GltfFile.at(path), path, detail, most)
 
 
 def received_glb(content: bytes, source: Path) -> ImportedScene:
     """Read a GLB file that is not on the disk; warnings name it `source`."""
-    return _scene(GltfFile.received(content), source)
+    return _scene(GltfFile.received(content), source, TEXTURE_TRIANGLES)
 
 
 def load_gltf_meshes(path: Path) -> tuple[Mesh, ...]:
     """Load the meshes of all nodes without materials, Y up. Raises SceneError, without the file's name."""
     reader = _Reader(GltfFile.at(path))
     with np.errstate(all="ignore"):
-        placed = [item for index in reader.poses for _, _, *item in reader.placed(index)]
+        placed = [(world, geometry.faces) for index in reader.poses for _, geometry, world in reader.placed(index)]
     if not placed:
         raise SceneError("the mesh has no faces: export it with triangles")
     return tuple(Mesh(vertices, faces) for vertices, faces in placed)
 
 
-def _scene(file: GltfFile, path: Path) -> ImportedScene:
+def _scene(file: GltfFile, path: Path, detail: int, most: int | None = None) -> ImportedScene:
     reader = _Reader(file)
-    reader.materials.require_few_pixels()
-    parts, punctual_lights, cameras = [], [], []
+    reader.textures.require_few_pixels()
+    unfinished, punctual_lights, cameras = [], [], []
     with np.errstate(all="ignore"):  # results that are infinite or NaN are refused
         for index in reader.poses:
-            parts += reader.parts(index)
+            unfinished += reader.parts(index)
             cameras += reader.cameras(index)
             punctual_lights += reader.punctual_lights(index)
-    reader.warn(path)
+        parts, added = with_detail(unfinished, detail, most)
+    reader.warn(path, added)
     return ImportedScene(path.stem, tuple(parts), tuple(punctual_lights), tuple(cameras))
 
 
@@ -72,13 +76,14 @@ class _Reader:
 
     def __init__(self, file: GltfFile) -> None:
         self.file, self.document = file, file.document
-        self.materials = GltfMaterials(file)
+        self.textures = GltfTextures(file)
         self.poses = dict(self._poses())
         self.left_out: dict[str, None] = dict.fromkeys(["animations"] if self.document.items("animations") else [])
+        self._materials_left_out: set[str] = set()
         self._triangles = self._parts = 0
 
-    def placed(self, index: int) -> Iterator[tuple[Entry, Geometry, Float[np.ndarray, "v 3"], Int[np.ndarray, "f 3"]]]:
-        """Yield each primitive of a node that has faces, with its geometry and its vertices and faces in the world."""
+    def placed(self, index: int) -> Iterator[tuple[Entry, Geometry, Float[np.ndarray, "v 3"]]]:
+        """Yield each primitive of a node that has faces, with its geometry and its vertices in the world."""
         node, pose = self._node(index), self.poses[index]
         if "EXT_mesh_gpu_instancing" in node.entry("extensions"):
             raise SceneError("EXT_mesh_gpu_instancing cannot be read: export its instances as nodes")
@@ -97,23 +102,26 @@ class _Reader:
             self._parts += 1
             require_bounded(self._triangles, self._parts)
             if skin and "JOINTS_0" in geometry.attributes and "WEIGHTS_0" in geometry.attributes:
-                yield primitive, geometry, geometry.skinned(skin, self.poses), geometry.faces
+                yield primitive, geometry, geometry.skinned(skin, self.poses)
             else:
-                world = geometry.positions @ pose[:3, :3].T + pose[:3, 3]
-                mirrored = np.linalg.det(pose[:3, :3]) < 0
-                yield primitive, geometry, world, geometry.faces[:, ::-1] if mirrored else geometry.faces
+                if np.linalg.det(pose[:3, :3]) < 0:  # mirrored
+                    geometry = replace(geometry, faces=geometry.faces[:, ::-1])
+                yield primitive, geometry, geometry.positions @ pose[:3, :3].T + pose[:3, 3]
 
-    def parts(self, index: int) -> Iterator[Part]:
+    def parts(self, index: int) -> Iterator[Part | TexturedPart]:
         label = self._label(index)
         mesh = self.file.linked(self._node(index), "mesh", "meshes")
         try:
-            for primitive, geometry, world, faces in self.placed(index):
+            for primitive, geometry, world in self.placed(index):
                 material, name = self.file.linked(primitive, "material", "materials"), label
                 if material and len(mesh.items("primitives")) > 1:
                     name += f" {name_of(material.get('name', TEXT, ''), material.where)}"
-                rows, present, see_through = self.materials.rows(material, geometry)
+                surface = GltfSurface(self.textures, material, geometry)
+                self._materials_left_out |= surface.left_out
                 one_sided = material is not None and not material.get("doubleSided", FLAG, False)
-                yield Part(name, z_up(world), faces, rows, geometry.is_smooth, see_through, one_sided).only(present)
+                part = Part(name, z_up(world), geometry.faces, plain_material(len(geometry.faces)),
+                            geometry.is_smooth, surface.see_through, one_sided)  # fmt: skip
+                yield TexturedPart.whole(part, surface)
         except SceneError as error:
             raise SceneError(f"'{label}': {error}") from None
 
@@ -148,10 +156,10 @@ class _Reader:
             raise SceneError(f"'{label}': its light is NaN, infinite or too large: export it again")
         yield PunctualLight(label, kind, strength, position, _unit(direction))
 
-    def warn(self, path: Path) -> None:
-        if textures := self.materials.textures.used:
-            warnings.warn(f"{path}: textures are averaged over each triangle ({textures})", stacklevel=5)
-        if left_out := [*self.left_out, *sorted(self.materials.left_out)]:
+    def warn(self, path: Path, added: int) -> None:
+        if self.textures.used:
+            warnings.warn(f"{path}: {detail_notice(self.textures.used, added)}", stacklevel=5)
+        if left_out := [*self.left_out, *sorted(self._materials_left_out)]:
             warnings.warn(f"{path}: left out: {', '.join(left_out)}", stacklevel=5)
 
     def _node(self, index: int) -> Entry:

@@ -14,166 +14,183 @@ F0 is glTF's reflectance at normal incidence, and the specular albedo here at ev
 two albedos add up to at most 1. Textures of base color, metallic and roughness, and emission are multiplied with the
 factors after being averaged over each triangle, vertex colors with the base color. Of an emissive texture less than a
 tenth of its brightest triangle counts as none: what glows is invisible to the camera, and most such textures are dark
-but for a few lights. `MASK` leaves out triangles that are transparent in the mean. Without a material: gray.
+but for a few lights. Without a material: gray.
+
+`MASK` leaves out triangles that are transparent in the mean, and so does `BLEND`, at 0.5, with a texture whose alpha is
+that of a mask. Where textures vary, triangles are subdivided, see `texture_detail`.
 """
 
 from __future__ import annotations
 
 import contextlib
-import io
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from rfpp.errors import SceneError
-from rfpp.scene.io.gltf_file import GltfFile
-from rfpp.scene.io.gltf_json import INDEX, NUMBER, PAIR, POSITIVE, RGB, RGBA, SHARE, TEXT, Entry
+from rfpp.scene.io.gltf_json import POSITIVE, RGB, RGBA, SHARE, TEXT, Entry
 from rfpp.scene.io.gltf_primitive import Geometry
-from rfpp.scene.io.image_texture import Textures, require_few_pixels
+from rfpp.scene.io.gltf_textures import GLOSSINESS, GltfTextures
+from rfpp.scene.io.image_texture import ImageTexture
 from rfpp.scene.io.imported_scene import GREY, name_of, plain_material
+from rfpp.scene.io.texture_detail import Pieces
 from rfpp.scene.triangles import DIFFUSE, EMISSION, ROUGHNESS, SPECULAR
 
-_GLOSSINESS = "KHR_materials_pbrSpecularGlossiness"
 #: Extensions of materials that are represented, or that say nothing beyond others.
 _KNOWN = {"diffuse_transmission", "emissive_strength", "ior", "pbrSpecularGlossiness", "specular", "transmission",
           "volume"}  # fmt: skip
 _GLOWS = 0.1
 _OPAQUE = 0.99
-#: Rows of the faces, and their alpha.
-_Surface = tuple[Float[np.ndarray, "f 10"], Float[np.ndarray, " f"]]
+#: Standard deviation of alpha within a face that tells a cut-out from glass.
+_CUT_OUT = 0.2
 
 
-@dataclass
-class GltfMaterials:
-    """Materials of one file.
+@dataclass(frozen=True, eq=False)
+class GltfSurface:
+    """A material on a mesh, see `texture_detail.Surface`.
 
-    Attributes:
-        left_out: names of what materials have and rows do not represent.
+    Every method raises SceneError naming the material if a value is invalid or a texture cannot be read.
     """
 
-    file: GltfFile
-    left_out: set[str] = field(default_factory=set)
-    textures: Textures = field(default_factory=Textures)
+    textures: GltfTextures
+    material: Entry | None
+    geometry: Geometry
 
-    def rows(
-        self, material: Entry | None, geometry: Geometry
-    ) -> tuple[Float[np.ndarray, "f 10"], Bool[np.ndarray, " f"], str]:
-        """Return the material of each face, a mask of faces that are present, and `Part.see_through`.
+    @property
+    def left_out(self) -> set[str]:
+        """Names of what the material has and rows do not represent."""
+        if self.material is None:
+            return set()
+        names = {name.removeprefix("KHR_materials_") for name in self.material.entry("extensions").values} - _KNOWN
+        return names | ({"normal maps"} if "normalTexture" in self.material else set())
 
-        Raises:
-            SceneError: If a value is invalid or a texture cannot be read; names the material.
-        """
-        faces, colors = len(geometry.faces), geometry.colors
-        if material is None:
-            plain = plain_material(faces) if colors is None else metallic_roughness(colors[:, :3] * GREY, 0.0, 0.5)
-            return plain, np.ones(faces, bool), ""
-        name = f"material '{name_of(material.get('name', TEXT, ''), material.where)}'"
-        try:
-            rows, alpha = self._rows(material, geometry, colors)
-        except SceneError as error:
-            raise SceneError(f"{name}: {error}") from None
-        mode = material.get("alphaMode", TEXT, "OPAQUE")
-        present = alpha >= material.get("alphaCutoff", POSITIVE, 0.5) if mode == "MASK" else np.ones(faces, bool)
-        why = "alphaMode BLEND" if mode == "BLEND" and alpha.min(initial=1) < _OPAQUE else ""
-        for kind, factor in (
-            ("transmission", "transmissionFactor"),
-            ("diffuse_transmission", "diffuseTransmissionFactor"),
-        ):
-            why = "transmission" if _extension(material, kind).get(factor, SHARE, 0.0) else why
-        return rows, present, f"{name} ({why})" if why else ""
+    @property
+    def is_textured(self) -> bool:
+        """True if its color, alpha or emission is a picture."""
+        if self.material is None:
+            return False
+        return self._color_name + "Texture" in self._pbr or "emissiveTexture" in self.material
 
-    def _rows(self, material: Entry, geometry: Geometry, colors: np.ndarray | None) -> _Surface:
-        self.left_out |= {name.removeprefix("KHR_materials_") for name in material.entry("extensions").values} - _KNOWN
-        if "normalTexture" in material:
-            self.left_out.add("normal maps")
-        surface = self._specular if _GLOSSINESS in material.entry("extensions") else self._metallic
-        rows, alpha = surface(material, geometry, colors)
-        strength = _extension(material, "emissive_strength").get("emissiveStrength", POSITIVE, 1.0)
-        rows[:, EMISSION] = np.multiply(material.get("emissiveFactor", RGB, (0, 0, 0)), strength)
-        if "emissiveTexture" in material and rows[:, EMISSION].any():
-            glow = rows[:, EMISSION] * self._means(material.entry("emissiveTexture"), geometry, color=True)[:, :3]
-            rows[:, EMISSION] = np.where(glow.max(axis=1, keepdims=True) < _GLOWS * glow.max(), 0, glow)
-        return rows, alpha
+    @property
+    def see_through(self) -> str:
+        """See `Part`."""
+        if self.material is None:
+            return ""
+        with self._named():
+            blends = self.material.get("alphaMode", TEXT, "OPAQUE") == "BLEND" and not self._is_cut
+            alpha = self._color(Pieces.whole(self.geometry.corners))[:, 3]
+            why = "alphaMode BLEND" if blends and alpha.min(initial=1) < _OPAQUE else ""
+            for kind, factor in (
+                ("transmission", "transmissionFactor"),
+                ("diffuse_transmission", "diffuseTransmissionFactor"),
+            ):
+                why = "transmission" if _extension(self.material, kind).get(factor, SHARE, 0.0) else why
+            return f"{self._name} ({why})" if why else ""
 
-    def _metallic(self, material: Entry, geometry: Geometry, colors: np.ndarray | None) -> _Surface:
-        pbr, faces = material.entry("pbrMetallicRoughness"), len(geometry.faces)
-        base = self._color(pbr, "baseColor", geometry, colors)
+    def rows(self, pieces: Pieces) -> tuple[Float[np.ndarray, "n 10"], Bool[np.ndarray, " n"]]:
+        if self.material is None:
+            colors, count = self.geometry.colors, len(pieces)
+            plain = plain_material(count) if colors is None else metallic_roughness(
+                pieces.of(colors).mean(axis=1)[:, :3] * GREY, 0.0, 0.5
+            )
+            return plain, np.ones(count, bool)
+        with self._named():
+            base = self._color(pieces)
+            rows = self._specular(base, pieces) if self._is_glossy else self._metallic(base, pieces)
+            rows[:, EMISSION] = self._emission(pieces)
+            cutoff = self.material.get("alphaCutoff", POSITIVE, 0.5)
+            return rows, base[:, 3] >= cutoff if self._is_cut else np.ones(len(pieces), bool)
+
+    def spread(self, pieces: Pieces) -> Float[np.ndarray, " n"]:
+        with self._named():
+            spread = np.zeros(len(pieces))
+            if (name := f"{self._color_name}Texture") in self._pbr:
+                picture, uv = self._lookup(self._pbr.entry(name), color=True)
+                spreads = picture.spreads(pieces.of(uv)) * self._pbr.get(f"{self._color_name}Factor", RGBA, (1,) * 4)
+                spread = spreads[:, : 4 if self._is_cut else 3].max(axis=1)
+            if "emissiveTexture" in self.material and any(self.material.get("emissiveFactor", RGB, (0, 0, 0))):
+                picture, uv = self._lookup(self.material.entry("emissiveTexture"), color=True)
+                spread = np.maximum(spread, picture.spreads(pieces.of(uv))[:, :3].max(axis=1))
+            return spread
+
+    @cached_property
+    def _is_cut(self) -> bool:
+        """True for cut-outs: a mask, or blending with a picture whose alpha is that of a mask."""
+        mode, name = self.material.get("alphaMode", TEXT, "OPAQUE"), f"{self._color_name}Texture"
+        if mode != "BLEND" or name not in self._pbr:
+            return mode == "MASK"
+        picture, uv = self._lookup(self._pbr.entry(name), color=True)
+        return bool((picture.spreads(uv)[:, 3] > _CUT_OUT).any())
+
+    @property
+    def _is_glossy(self) -> bool:
+        return GLOSSINESS in self.material.entry("extensions")
+
+    @property
+    def _pbr(self) -> Entry:
+        return self.material.entry(*(("extensions", GLOSSINESS) if self._is_glossy else ("pbrMetallicRoughness",)))
+
+    @property
+    def _color_name(self) -> str:
+        return "diffuse" if self._is_glossy else "baseColor"
+
+    def _color(self, pieces: Pieces) -> Float[np.ndarray, "n 4"]:
+        """Return the product of the color's factor, its texture and vertex colors."""
+        factor = self._pbr.get(f"{self._color_name}Factor", RGBA, (1, 1, 1, 1))
+        color = np.tile(np.array(factor, np.float32), (len(pieces), 1))
+        if (name := f"{self._color_name}Texture") in self._pbr:
+            color *= self._means(self._pbr.entry(name), pieces, color=True)
+        colors = self.geometry.colors
+        return color if colors is None else color * pieces.of(colors).mean(axis=1).astype(np.float32)
+
+    def _metallic(self, base: Float[np.ndarray, "n 4"], pieces: Pieces) -> Float[np.ndarray, "n 10"]:
         metallic, roughness = (
-            np.full(faces, pbr.get(key, SHARE, 1.0)) for key in ("metallicFactor", "roughnessFactor")
+            np.full(len(pieces), self._pbr.get(key, SHARE, 1.0)) for key in ("metallicFactor", "roughnessFactor")
         )
-        if "metallicRoughnessTexture" in pbr:
-            _, green, blue, _ = self._means(pbr.entry("metallicRoughnessTexture"), geometry, color=False).T
+        if "metallicRoughnessTexture" in self._pbr:
+            _, green, blue, _ = self._means(self._pbr.entry("metallicRoughnessTexture"), pieces, color=False).T
             metallic, roughness = metallic * blue, roughness * green
-        return metallic_roughness(base[:, :3], metallic, roughness, _reflectance(material)), base[:, 3]
+        return metallic_roughness(base[:, :3], metallic, roughness, _reflectance(self.material))
 
-    def _specular(self, material: Entry, geometry: Geometry, colors: np.ndarray | None) -> _Surface:
-        pbr, faces = material.entry("extensions", _GLOSSINESS), len(geometry.faces)
-        diffuse = self._color(pbr, "diffuse", geometry, colors)
-        specular = np.tile(np.minimum(pbr.get("specularFactor", RGB, (1, 1, 1)), 1.0), (faces, 1))
-        glossiness = np.full(faces, pbr.get("glossinessFactor", SHARE, 1.0))
-        if "specularGlossinessTexture" in pbr:
-            means = self._means(pbr.entry("specularGlossinessTexture"), geometry, color=True)
+    def _specular(self, diffuse: Float[np.ndarray, "n 4"], pieces: Pieces) -> Float[np.ndarray, "n 10"]:
+        specular = np.tile(np.minimum(self._pbr.get("specularFactor", RGB, (1, 1, 1)), 1.0), (len(pieces), 1))
+        glossiness = np.full(len(pieces), self._pbr.get("glossinessFactor", SHARE, 1.0))
+        if "specularGlossinessTexture" in self._pbr:
+            means = self._means(self._pbr.entry("specularGlossinessTexture"), pieces, color=True)
             specular, glossiness = specular * means[:, :3], glossiness * means[:, 3]
-        rows = np.zeros((faces, 10), np.float32)
+        rows = np.zeros((len(pieces), 10), np.float32)
         rows[:, DIFFUSE] = diffuse[:, :3] * (1 - specular.max(axis=1, keepdims=True))
         rows[:, SPECULAR], rows[:, ROUGHNESS] = specular, 1 - glossiness[:, None]
-        return rows, diffuse[:, 3]
+        return np.clip(rows, 0, 1)
 
-    def _color(self, pbr: Entry, name: str, geometry: Geometry, colors: np.ndarray | None) -> Float[np.ndarray, "f 4"]:
-        """Return the product of a factor, its texture and vertex colors."""
-        color = np.tile(np.array(pbr.get(f"{name}Factor", RGBA, (1, 1, 1, 1)), np.float32), (len(geometry.faces), 1))
-        if f"{name}Texture" in pbr:
-            color *= self._means(pbr.entry(f"{name}Texture"), geometry, color=True)
-        return color if colors is None else color * colors
+    def _emission(self, pieces: Pieces) -> Float[np.ndarray, "n 3"]:
+        strength = _extension(self.material, "emissive_strength").get("emissiveStrength", POSITIVE, 1.0)
+        factor = np.multiply(self.material.get("emissiveFactor", RGB, (0, 0, 0)), strength)
+        if "emissiveTexture" not in self.material or not factor.any():
+            return np.tile(factor, (len(pieces), 1))
+        glow = factor * self._means(self.material.entry("emissiveTexture"), pieces, color=True)[:, :3]
+        return np.where(glow.max(axis=1, keepdims=True) < _GLOWS * glow.max(), 0, glow)
 
-    def require_few_pixels(self) -> None:
-        """Raise SceneError for too many pixels in all pictures of its materials, before any is decoded."""
-        require_few_pixels(self._pictures())
+    def _means(self, info: Entry, pieces: Pieces, color: bool) -> Float[np.ndarray, "n 4"]:
+        picture, uv = self._lookup(info, color)
+        return picture.means(pieces.of(uv))
 
-    def _pictures(self) -> Iterator[io.BytesIO]:
-        """Yield each picture of a material once; unreadable ones are refused where they are needed."""
-        seen = set()
-        for index in range(len(self.file.document.items("materials"))):
-            material = self.file.document.at("materials", index)
-            pbr, glossy = material.entry("pbrMetallicRoughness"), material.entry("extensions", _GLOSSINESS)
-            for holder, key in (
-                (pbr, "baseColorTexture"),
-                (pbr, "metallicRoughnessTexture"),
-                (glossy, "diffuseTexture"),
-                (glossy, "specularGlossinessTexture"),
-                (material, "emissiveTexture"),
-            ):
-                with contextlib.suppress(SceneError):
-                    source = self._source(holder.entry(key)) if key in holder else None
-                    if source is not None and source not in seen:
-                        seen.add(source)
-                        yield io.BytesIO(self._image(source))
+    def _lookup(self, info: Entry, color: bool) -> tuple[ImageTexture, Float[np.ndarray, "f 3 2"]]:
+        return self.textures.lookup(info, self.geometry, color)
 
-    def _source(self, info: Entry) -> int | None:
-        texture = self.file.document.at("textures", info.get("index", INDEX, 0))
-        return texture.entry("extensions", "EXT_texture_webp").get("source", INDEX, texture.get("source", INDEX))
+    @property
+    def _name(self) -> str:
+        return f"material '{name_of(self.material.get('name', TEXT, ''), self.material.where)}'"
 
-    def _means(self, info: Entry, geometry: Geometry, color: bool) -> Float[np.ndarray, "f 4"]:
-        source = self._source(info)
-        if source is None:
-            raise SceneError(f"{info.where} has no picture that can be read: export PNG or JPEG textures")
+    @contextlib.contextmanager
+    def _named(self) -> Iterator[None]:
         try:
-            picture = self.textures.get(source, color, lambda: self._image(source))
+            yield
         except SceneError as error:
-            raise SceneError(f"images.{source}: {error}") from None
-        transform = info.entry("extensions", "KHR_texture_transform")
-        uv = geometry.coordinates(transform.get("texCoord", INDEX, info.get("texCoord", INDEX, 0)))
-        rotation = transform.get("rotation", NUMBER, 0.0)
-        cos, sin = np.cos(rotation), np.sin(rotation)
-        turned = (uv * transform.get("scale", PAIR, (1, 1))) @ np.array([[cos, -sin], [sin, cos]])
-        return picture.means(turned + transform.get("offset", PAIR, (0, 0)))
-
-    def _image(self, index: int) -> bytes:
-        image = self.file.document.at("images", index)
-        view = self.file.linked(image, "bufferView", "bufferViews")
-        return self.file.bytes_of(image.get("uri", TEXT, "data:")) if view is None else bytes(self.file.view(view))
+            raise SceneError(f"{self._name}: {error}") from None
 
 
 def _extension(material: Entry, name: str) -> Entry:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -29,6 +30,7 @@ class Geometry:
     attributes: Entry
     positions: Float[np.ndarray, "v 3"]
     faces: Int[np.ndarray, "f 3"]
+    _coordinates: dict[int, Float[np.ndarray, "f 3 2"]] = field(default_factory=dict, init=False)
 
     @classmethod
     def read(cls, file: GltfFile, primitive: Entry) -> Geometry | None:
@@ -54,28 +56,35 @@ class Geometry:
         return cls(file, attributes, positions, faces)
 
     @property
+    def corners(self) -> Float[np.ndarray, "f 3 3"]:
+        """Positions of each face's corners."""
+        return self.positions[self.faces]
+
+    @property
     def is_smooth(self) -> bool:
         """True if stored normals differ from those of the faces; without any, glTF surfaces are flat."""
         if "NORMAL" not in self.attributes:
             return False
         return is_smooth(self.positions, self.faces, self._attribute("NORMAL", "VEC3"), self.faces)
 
-    @property
-    def colors(self) -> Float[np.ndarray, "f 4"] | None:
-        """Mean color of each face's corners, linear, with alpha."""
+    @cached_property
+    def colors(self) -> Float[np.ndarray, "f 3 4"] | None:
+        """Color of each face's corners, linear, with alpha."""
         if "COLOR_0" not in self.attributes:
             return None
         colors = np.clip(self._attribute("COLOR_0", "VEC3", "VEC4"), 0, 1)
         opaque = np.ones((len(colors), 4))
         opaque[:, : colors.shape[1]] = colors
-        return opaque[self.faces].mean(axis=1).astype(np.float32)
+        return opaque[self.faces]
 
     def coordinates(self, number: int) -> Float[np.ndarray, "f 3 2"]:
         """Return the texture coordinates of each face's corners."""
         name = f"TEXCOORD_{number}"
         if name not in self.attributes:
             raise SceneError(f"a texture needs {name}, which the mesh does not have: unwrap the mesh")
-        return self._attribute(name, "VEC2")[self.faces]
+        if number not in self._coordinates:
+            self._coordinates[number] = self._attribute(name, "VEC2")[self.faces]
+        return self._coordinates[number]
 
     def skinned(self, skin: Entry, poses: Mapping[int, np.ndarray]) -> Float[np.ndarray, "v 3"]:
         """Return world positions of a mesh that follows joints (node → pose), not its own node."""

@@ -7,6 +7,7 @@ import io
 import warnings
 from collections import OrderedDict
 from collections.abc import Callable, Hashable, Iterable
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float
@@ -48,29 +49,21 @@ class ImageTexture:
     """
 
     def __init__(self, content: bytes, color: bool, left: int = _MAX_PIXELS) -> None:
-        level, self.pixels = _pixels(content, color, left)
-        self._levels = [level.astype(np.float16)]
-        while min(level.shape[:2]) > 1:
-            level = _reduced(level, 2)
-            self._levels.append(level.astype(np.float16))
+        picture, self.pixels = _pixels(content, color, left)
+        self._levels = _mip_map(picture)
+
+    @cached_property
+    def _squares(self) -> list[np.ndarray]:
+        """Mip map of the squares, for spreads."""
+        return _mip_map(np.square(self._levels[0], dtype=np.float32))
 
     def means(self, uv: Float[np.ndarray, "f 3 2"]) -> Float[np.ndarray, "f 4"]:
         """Return red, green, blue and alpha of each triangle; (0, 0) is the image's upper left corner."""
-        return np.concatenate([self._means(uv[i : i + _CHUNK]) for i in range(0, len(uv), _CHUNK)])
+        return _means(self._levels, uv)
 
-    def _means(self, uv: np.ndarray) -> np.ndarray:
-        height, width = self._levels[0].shape[:2]
-        extent = (np.ptp(uv, axis=1) * (width, height)).max(axis=1)
-        wanted = np.log2(np.maximum(extent / _SIDE, 1))
-        level = np.minimum(np.floor(wanted), len(self._levels) - 1).astype(int)
-        points = _CENTERS @ uv
-        result = np.empty((len(uv), 4), np.float32)
-        for number in np.unique(level):
-            chosen, pixels = level == number, self._levels[number]
-            size = np.array([pixels.shape[1], pixels.shape[0]])
-            x, y = np.moveaxis(np.minimum(np.floor(points[chosen] % 1.0 * size), size - 1).astype(int), -1, 0)
-            result[chosen] = pixels[y, x].mean(axis=1, dtype=np.float32)
-        return result
+    def spreads(self, uv: Float[np.ndarray, "f 3 2"]) -> Float[np.ndarray, "f 4"]:
+        """Return the standard deviation of these within each triangle."""
+        return np.sqrt(np.maximum(_means(self._squares, uv) - self.means(uv) ** 2, 0))
 
 
 class Textures:
@@ -113,6 +106,34 @@ def require_few_pixels(files: Iterable[io.BufferedIOBase]) -> None:
 def linear(srgb: np.ndarray) -> np.ndarray:
     """Convert 8-bit sRGB to linear float32 in [0, 1]."""
     return _LINEAR[srgb]
+
+
+def _mip_map(level: Float[np.ndarray, "h w 4"]) -> list[np.ndarray]:
+    levels = [level.astype(np.float16)]
+    while min(level.shape[:2]) > 1:
+        level = _reduced(level, 2)
+        levels.append(level.astype(np.float16))
+    return levels
+
+
+def _means(levels: list[np.ndarray], uv: Float[np.ndarray, "f 3 2"]) -> Float[np.ndarray, "f 4"]:
+    parts = [_means_of_some(levels, uv[i : i + _CHUNK]) for i in range(0, len(uv), _CHUNK)]
+    return np.concatenate([np.empty((0, 4), np.float32), *parts])
+
+
+def _means_of_some(levels: list[np.ndarray], uv: Float[np.ndarray, "f 3 2"]) -> Float[np.ndarray, "f 4"]:
+    height, width = levels[0].shape[:2]
+    extent = (np.ptp(uv, axis=1) * (width, height)).max(axis=1)
+    wanted = np.log2(np.maximum(extent / _SIDE, 1))
+    level = np.minimum(np.floor(wanted), len(levels) - 1).astype(int)
+    points = _CENTERS @ uv
+    result = np.empty((len(uv), 4), np.float32)
+    for number in np.unique(level):
+        chosen, pixels = level == number, levels[number]
+        size = np.array([pixels.shape[1], pixels.shape[0]])
+        x, y = np.moveaxis(np.minimum(np.floor(points[chosen] % 1.0 * size), size - 1).astype(int), -1, 0)
+        result[chosen] = pixels[y, x].mean(axis=1, dtype=np.float32)
+    return result
 
 
 def _centers() -> np.ndarray:

@@ -21,17 +21,19 @@ from rfpp.scene.io.imported_scene import ImportedScene, z_up
 from rfpp.scene.io.limits import require_bounded
 from rfpp.scene.io.mesh_scenes import read_obj, read_ply, read_stl
 from rfpp.scene.io.renderformer_json import load_json
+from rfpp.scene.io.texture_detail import TEXTURE_TRIANGLES
 from rfpp.scene.packed import PackedScene
 from rfpp.scene.spec import Scene
 
 #: Suffix → reader and the file's up axis; None if the reader converts it.
-_READERS: dict[str, tuple[Callable[[Path], ImportedScene], str | None]] = {
+_READERS: dict[str, tuple[Callable[..., ImportedScene], str | None]] = {
     ".gltf": (read_gltf, None),
     ".glb": (read_gltf, None),
     ".obj": (read_obj, "y"),
     ".ply": (read_ply, "z"),
     ".stl": (read_stl, "z"),
 }
+_TEXTURED = (".gltf", ".glb", ".obj")
 _H5_SUFFIXES = (".h5", ".hdf5")
 #: Formats of other programs, never opened; several are XML or archives.
 _FOREIGN = (".3ds", ".3mf", ".abc", ".blend", ".dae", ".fbx", ".ma", ".max", ".off", ".svg", ".usd", ".usda", ".usdc",
@@ -52,6 +54,7 @@ def load_scene(
     up: str | None = None,
     transparent: Transparent = "opaque",
     backdrop: Backdrop = "floor",
+    detail: int = TEXTURE_TRIANGLES,
 ) -> Scene | PackedScene:
     """Load a scene.
 
@@ -64,6 +67,7 @@ def load_scene(
         triangles: Maximum number of triangles; larger scenes are decimated.
         up: Up axis of OBJ (default y), PLY and STL files (default z); glTF is always y.
         transparent: Treatment of transparent surfaces, which cannot be represented.
+        detail: Number of triangles that may be added where textures vary, because a triangle has one color.
         backdrop: Surroundings of a foreign scene without camera, light and floor: floor, corner (with two walls), none.
 
     Raises:
@@ -78,7 +82,7 @@ def load_scene(
             raise SceneError(f"{name}={value}: choose {', '.join(known[:-1])} or {known[-1]}")
     suffix = path.suffix.lower()
     if path.is_dir() or suffix in _READERS:
-        scene = _imported(path, up, transparent, backdrop)
+        scene = _imported(path, up, transparent, backdrop, (detail, triangles))
         total = sum(len(item.mesh) for item in scene.objects)
         if triangles is None and total > _MANY_TRIANGLES:
             warnings.warn(
@@ -107,24 +111,27 @@ def load_scene(
     return scene if triangles is None else within_budget(scene, triangles, f"{path}")
 
 
-def _imported(path: Path, up: str | None, transparent: Transparent, backdrop: Backdrop) -> Scene:
+def _imported(
+    path: Path, up: str | None, transparent: Transparent, backdrop: Backdrop, detail: tuple[int, int | None]
+) -> Scene:
     try:
-        return fitted(_folder(path, up) if path.is_dir() else _file(path, up), path, transparent, backdrop).scene
+        imported = _folder(path, up, detail) if path.is_dir() else _file(path, up, detail)
+        return fitted(imported, path, transparent, backdrop).scene
     except SceneError as error:
         raise SceneError(f"{path}: {error}") from None
 
 
-def _file(path: Path, up: str | None) -> ImportedScene:
+def _file(path: Path, up: str | None, detail: tuple[int, int | None]) -> ImportedScene:
     reader, default_up = _READERS[path.suffix.lower()]
     with np.errstate(over="ignore", invalid="ignore"):
-        scene = reader(path)
+        scene = reader(path, *detail) if path.suffix.lower() in _TEXTURED else reader(path)
         if default_up is None or (up or default_up) == "z":
             return scene
         # only files without lights and cameras leave the up axis open
         return replace(scene, parts=tuple(replace(part, vertices=z_up(part.vertices)) for part in scene.parts))
 
 
-def _folder(folder: Path, up: str | None) -> ImportedScene:
+def _folder(folder: Path, up: str | None, detail: tuple[int, int | None]) -> ImportedScene:
     try:
         files = sorted(path for path in folder.iterdir() if path.suffix.lower() in _READERS)
     except OSError as error:
@@ -136,7 +143,7 @@ def _folder(folder: Path, up: str | None) -> ImportedScene:
     scenes = []
     for path in files:
         try:
-            scenes.append(_file(path, up))
+            scenes.append(_file(path, up, detail))
         except SceneError as error:
             raise SceneError(f"{path.name}: {error}") from None
         require_bounded(sum(len(part) for scene in scenes for part in scene.parts))

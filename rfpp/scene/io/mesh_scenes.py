@@ -7,6 +7,7 @@ surface is smooth unless its stored normals are those of its faces.
 from __future__ import annotations
 
 import warnings
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,28 +17,39 @@ from rfpp.scene.io.grouping import MAX_OBJECTS, components
 from rfpp.scene.io.image_texture import Textures, linear, require_few_pixels
 from rfpp.scene.io.imported_scene import DIELECTRIC, ImportedScene, Part, is_smooth, name_of, plain_material
 from rfpp.scene.io.limits import MAX_TEXT_BYTES, beside, read_bytes
-from rfpp.scene.io.mtl import ObjMaterial, read_mtl
+from rfpp.scene.io.mtl import ObjMaterial, ObjSurface, read_mtl
+from rfpp.scene.io.texture_detail import TEXTURE_TRIANGLES, Pieces, TexturedPart, detail_notice, with_detail
 from rfpp.scene.io.trimesh_files import TrimeshArrays, load_obj, load_ply, load_stl
 from rfpp.scene.triangles import DIFFUSE
 
 _MAX_LIBRARIES = 100
 
 
-def read_obj(path: Path) -> ImportedScene:
-    """Read an OBJ file and its materials. Raises SceneError, without the file's name."""
+def read_obj(path: Path, detail: int = TEXTURE_TRIANGLES, most: int | None = None) -> ImportedScene:
+    """Read an OBJ file and its materials; see `with_detail`.
+
+    Raises:
+        SceneError: Without the file's name.
+    """
     meshes, libraries = load_obj(read_bytes(path, MAX_TEXT_BYTES), by_name=True)
     if not libraries:
         warnings.warn(f"{path}: names no MTL file: its surfaces are gray", stacklevel=4)
     materials = _materials(path.parent, libraries, {material for _, material in meshes})
     pictures = {picture for material in materials.values() for picture in material.textures.values()}
     require_few_pixels(picture.open("rb") for picture in pictures if picture.is_file())
-    textures, parts = Textures(), []
+    textures, unfinished = Textures(), []
     for (name, material), mesh in meshes.items():
         entry = materials.get(material)
-        rows = plain_material(len(mesh["faces"])) if entry is None else entry.rows(mesh, textures)
-        parts.append(_part(name_of(f"{name} {material}", "part"), mesh, rows, entry.see_through if entry else ""))
+        rows = plain_material(len(mesh["faces"]))
+        part = _part(name_of(f"{name} {material}", "part"), mesh, rows, entry.see_through if entry else "")
+        if entry and entry.is_textured:
+            unfinished.append(TexturedPart.whole(part, ObjSurface(entry, mesh, textures)))
+        else:
+            whole = Pieces.whole(part.corners)
+            unfinished.append(replace(part, material=entry.rows(whole, mesh, textures)) if entry else part)
+    parts, added = with_detail(unfinished, detail, most)
     if textures.used:
-        warnings.warn(f"{path}: textures are averaged over each triangle ({textures.used})", stacklevel=4)
+        warnings.warn(f"{path}: {detail_notice(textures.used, added)}", stacklevel=4)
     if not any(name for name, _ in meshes) and len(parts) <= MAX_OBJECTS:
         parts = [piece for part in parts for piece in components(part)]
     return ImportedScene(path.stem, tuple(parts))

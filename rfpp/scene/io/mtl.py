@@ -12,12 +12,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from rfpp.errors import SceneError, one_line
 from rfpp.scene.io.gltf_material import metallic_roughness
-from rfpp.scene.io.image_texture import Textures
+from rfpp.scene.io.image_texture import ImageTexture, Textures
 from rfpp.scene.io.limits import beside, read_bytes, require_bounded
+from rfpp.scene.io.texture_detail import Pieces
 from rfpp.scene.io.trimesh_files import TrimeshArrays
 from rfpp.scene.triangles import EMISSION
 
@@ -47,26 +48,46 @@ class ObjMaterial:
         is_opaque = d >= 1 and tr <= 0 and "d" not in self.textures and model not in _TRANSPARENT_MODELS
         return "" if is_opaque else f"material '{self.name}' (d, Tr, map_d or illum)"
 
-    def rows(self, mesh: TrimeshArrays, textures: Textures) -> Float[np.ndarray, "f 10"]:
-        """Return the material of each face. Raises SceneError naming the material, if a texture cannot be read."""
-        base = np.clip(self._color("kd", mesh, textures), 0, 1)
+    @property
+    def is_textured(self) -> bool:
+        """True if its color or emission is a picture."""
+        return not self.textures.keys().isdisjoint(("kd", "ke"))
+
+    def rows(self, pieces: Pieces, mesh: TrimeshArrays, textures: Textures) -> Float[np.ndarray, "n 10"]:
+        """Return the material of each piece. Raises SceneError naming the material, if a texture cannot be read."""
+        base = np.clip(self._color("kd", pieces, mesh, textures), 0, 1)
         metallic, roughness, reflectance = self._value("pm")[0], self._value("pr")[0], 0.04
         if not self.values.keys() & {"pr", "pm"}:
             model = self._value("illum")[0]
             reflectance = np.clip(self._value("ks"), 0, 1) * (1.0 if model >= 3 else _HIGHLIGHT if model == 2 else 0.0)
             roughness = 1 - math.sqrt(np.clip(self._value("ns")[0], 0, 1000) / 1000)
         rows = metallic_roughness(base, np.clip(metallic, 0, 1), np.clip(roughness, 0, 1), reflectance)
-        rows[:, EMISSION] = np.maximum(self._color("ke", mesh, textures), 0)
+        rows[:, EMISSION] = np.maximum(self._color("ke", pieces, mesh, textures), 0)
         return rows
 
     def _value(self, key: str) -> list[float] | tuple[float, ...]:
         return self.values.get(key, _DEFAULTS[key])
 
-    def _color(self, key: str, mesh: TrimeshArrays, textures: Textures) -> Float[np.ndarray, "f 3"]:
-        path, uv = self.textures.get(key), mesh["visual"].uv
-        color = np.tile(self._value(key) if path is None else self.values.get(key, [1.0] * 3), (len(mesh["faces"]), 1))
-        if path is None:
-            return color
+    def spread(self, pieces: Pieces, mesh: TrimeshArrays, textures: Textures) -> Float[np.ndarray, " n"]:
+        """Return the standard deviation of its color within each piece."""
+        if "kd" not in self.textures:
+            return np.zeros(len(pieces))
+        picture, uv = self._picture("kd", mesh, textures)
+        return (picture.spreads(pieces.of(uv))[:, :3] * self.values.get("kd", [1.0] * 3)).max(axis=1)
+
+    def _color(
+        self, key: str, pieces: Pieces, mesh: TrimeshArrays, textures: Textures
+    ) -> Float[np.ndarray, "n 3"]:
+        if key not in self.textures:
+            return np.tile(self._value(key), (len(pieces), 1))
+        picture, uv = self._picture(key, mesh, textures)
+        return picture.means(pieces.of(uv))[:, :3] * self.values.get(key, [1.0] * 3)
+
+    def _picture(
+        self, key: str, mesh: TrimeshArrays, textures: Textures
+    ) -> tuple[ImageTexture, Float[np.ndarray, "f 3 2"]]:
+        """Return a texture and its coordinates at the corners of the faces."""
+        path, uv = self.textures[key], mesh["visual"].uv
         if uv is None or not np.isfinite(uv).all():
             raise SceneError(
                 f"material '{self.name}': map_{key.capitalize()} needs texture coordinates: unwrap the mesh"
@@ -75,7 +96,22 @@ class ObjMaterial:
             picture = textures.get(path, True, lambda: read_bytes(path))
         except SceneError as error:
             raise SceneError(f"material '{self.name}': {path}: {error}") from None
-        return color * picture.means(uv[mesh["faces"]] * (1, -1) + (0, 1))[:, :3]
+        return picture, uv[mesh["faces"]] * (1, -1) + (0, 1)
+
+
+@dataclass(frozen=True)
+class ObjSurface:
+    """A textured material on a mesh, see `texture_detail.Surface`."""
+
+    material: ObjMaterial
+    mesh: TrimeshArrays
+    textures: Textures
+
+    def rows(self, pieces: Pieces) -> tuple[Float[np.ndarray, "n 10"], Bool[np.ndarray, " n"]]:
+        return self.material.rows(pieces, self.mesh, self.textures), np.ones(len(pieces), bool)
+
+    def spread(self, pieces: Pieces) -> Float[np.ndarray, " n"]:
+        return self.material.spread(pieces, self.mesh, self.textures)
 
 
 def read_mtl(path: Path) -> dict[str, ObjMaterial]:

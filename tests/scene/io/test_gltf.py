@@ -44,7 +44,7 @@ def test_a_scene_of_everything_together(tmp_path: Path) -> None:
     builder.node(camera=camera, translation=[0, 0.3, 1.6])
     builder.document["scenes"] = [{"nodes": [table, 2, 3, 4]}]
     with (
-        pytest.warns(UserWarning, match=r"scene\.glb: textures are averaged over each triangle \(1\)"),
+        pytest.warns(UserWarning, match=r"scene\.glb: textures became colors of triangles \(1\), for which .* added"),
         pytest.warns(UserWarning, match=r"scene\.glb: emissive parts light the scene and are invisible"),
     ):
         scene = load_scene(builder.write(tmp_path))
