@@ -29,7 +29,9 @@ def help_text(about: str, config_name: str, config_dir: Path, overrides: Sequenc
     files += [file for group, _, name in pairs if (file := config_dir / group / f"{name}.yaml").is_file()]
     parts = [about.strip(), "Settings, changed by <setting>=<value>:"]
     parts += [_NOT_SETTINGS.sub("", file.read_text(encoding="utf-8")).strip() for file in files if file.is_file()]
-    choices = [f"  {name + '=':<26}{', '.join(names)}" for group in groups for name, names in _choices(group, config_dir)]
+    choices = [
+        f"  {name + '=':<26}{', '.join(names)}" for group in groups for name, names in _choices(group, config_dir)
+    ]
     parts += ["Groups of settings, chosen by <group>=<name>; with --help, the chosen file is shown:"] * bool(choices)
     parts += ["\n".join(choices)] * bool(choices)
     return "\n\n".join([*parts, "All settings with their values: --cfg job. Several values at once: -m."])

@@ -152,8 +152,12 @@ class _TruncatedError(Exception):
     """A download of the wrong size."""
 
 
+class _SlowError(Exception):
+    """A download from a slow server."""
+
+
 class _MinimumRate(Callback):
-    """Raises TimeoutError in a transfer that has become slower than _MIN_RATE on average."""
+    """Raises _SlowError in a transfer that has become slower than _MIN_RATE on average."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -163,7 +167,7 @@ class _MinimumRate(Callback):
         super().relative_update(inc)
         seconds = time.monotonic() - self._begin
         if seconds > _GRACE and self.value < _MIN_RATE * seconds:
-            raise TimeoutError(f"slower than {_MIN_RATE} bytes per second")
+            raise _SlowError(f"slower than {_MIN_RATE:,} bytes per second")
 
 
 def _time_limits(url: str) -> dict[str, Any]:

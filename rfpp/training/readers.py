@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 from rfpp.errors import UserError
 from rfpp.shards.order import ShuffledOrder, truncated
@@ -13,6 +13,7 @@ from rfpp.training.streaming import StreamedViews
 from rfpp.training.views import GlobalBatches, Share, TrainingViews
 
 
+@runtime_checkable
 class Reader(Protocol):
     """Returns a DataLoader's data set and batches: the share of a rank in a run's global batches."""
 

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from itertools import count, islice
-from typing import Any, BinaryIO, NamedTuple
+from typing import BinaryIO, NamedTuple
 
 import numpy as np
 from torch.utils.data import IterableDataset, get_worker_info
@@ -70,10 +70,9 @@ class StreamedViews(IterableDataset):
             scenes_before=len(range(turn, start, workers)) * self.scenes_per_batch,
         )
         shuffle = detshuffle(self.buffer, initial=self.buffer, seed=self.views.seed)
-        for sample in shuffle(self._stored(visits)):
-            read = partial(decode, sample["__key__"], sample)
+        for draw, key, members in shuffle.run(self._stored(visits)):
             try:
-                yield self.views.drawn(sample["__draw__"], read)
+                yield self.views.drawn(draw, partial(decode, key, members))
             except ShardError as error:
                 if not self.skip_corrupt:
                     raise
@@ -89,14 +88,15 @@ class StreamedViews(IterableDataset):
                     yield _Visit(epoch, shard, scenes_before)
                 scenes_before = max(0, scenes_before - self.sizes[shard])
 
-    def _stored(self, visits: Iterator[_Visit]) -> Iterator[Mapping[str, Any]]:
-        """Yield stored scenes by member, with (epoch, scene) as `__draw__`."""
+    def _stored(self, visits: Iterator[_Visit]) -> Iterator[tuple[tuple[int, int], str, dict[str, bytes]]]:
+        """Yield (epoch, scene), key and members of stored scenes."""
         firsts = np.cumsum([0, *self.views.split.sizes]).tolist()
         for visit, tar_file in self._opened(visits):
             with tar_file:
                 stored = group_by_keys(tar_file_expander([{"url": tar_file.name, "stream": tar_file}]))
                 for position, sample in islice(enumerate(stored), visit.start, self.sizes[visit.shard]):
-                    yield {**sample, "__draw__": (visit.epoch, firsts[visit.shard] + position)}
+                    members = {name: data for name, data in sample.items() if not name.startswith("__")}
+                    yield (visit.epoch, firsts[visit.shard] + position), sample["__key__"], members
 
     def _opened(self, visits: Iterator[_Visit]) -> Iterator[tuple[_Visit, BinaryIO]]:
         """Yield verified tars. While one is read, a thread fetches the next."""

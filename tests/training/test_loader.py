@@ -55,7 +55,7 @@ def datamodule(root, rank: int = 0, ranks: int = 1, accumulate: int = 1, steps: 
     source, batching, others = (
         {name: change.get(name, value) for name, value in part.items()} for part in (source, batching, others)
     )
-    data = SceneDataModule(DataSource(**source), Batching(**batching), **others)
+    data = SceneDataModule(DataSource(**source), batching=Batching(**batching), **others)
     data.trainer = SimpleNamespace(
         world_size=ranks, global_rank=rank, max_steps=steps, accumulate_grad_batches=accumulate, global_step=0,
         strategy=SimpleNamespace(root_device=torch.device("cpu")),

@@ -1,9 +1,8 @@
 """Shards streamed by webdataset: each scene once per epoch, resumed by position, damage named or skipped."""
 
 import shutil
-from itertools import chain, islice
+from itertools import chain, islice, pairwise
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,6 +14,7 @@ from rfpp.shards.dataset import ShardSplit
 from rfpp.training.augmentation import RigidMotion
 from rfpp.training.batching import Batching, Contiguous
 from rfpp.training.readers import WebDatasetReader
+from rfpp.training.source import DataSource
 from rfpp.training.views import Share, TrainingViews
 
 SCENES, PER_STEP = 11, 2  # in shards of 2, 2, …, 1
@@ -31,7 +31,7 @@ def views_of(root) -> TrainingViews:
 
 def batches(root, count: int, buffer: int = 4, workers: int = 0, skip_corrupt: bool = False, scenes=None, **share):
     """Return the first batches of a rank: lists of views."""
-    source = SimpleNamespace(training_scenes=scenes, skip_corrupt=skip_corrupt)
+    source = DataSource(root, None, scenes, 0, skip_corrupt)
     batching = Batching(PER_STEP * share.get("ranks", 1), None, 1, Contiguous(), 2)
     options = WebDatasetReader(buffer)(views_of(root), source, batching, Share(100, **share), workers)
     context = "spawn" if workers else None
@@ -62,7 +62,7 @@ def test_each_epoch_holds_each_scene_once_in_an_order_of_its_own(root):
 
 def test_the_buffer_mixes_shards(root):
     def pairs(keys):
-        return sum(int(a[-6:]) // 2 == int(b[-6:]) // 2 for a, b in zip(keys, keys[1:], strict=False))
+        return sum(int(a[-6:]) // 2 == int(b[-6:]) // 2 for a, b in pairwise(keys))
 
     assert pairs(keys_of(batches(root, 50, buffer=8))) < pairs(keys_of(batches(root, 50, buffer=1))) / 2
 

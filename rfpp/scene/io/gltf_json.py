@@ -12,8 +12,8 @@ from rfpp.scene.spec import first_problem
 
 _Number = Annotated[float, Field(allow_inf_nan=False)]
 _Index = Annotated[int, Field(ge=0, lt=2**53)]
-# exporters round 1 up to the next float32
-_Share = Annotated[float, Field(ge=0, le=1 + 2**-23), AfterValidator(lambda share: min(share, 1.0))]
+# exporters round 1 up to a next float32
+_Share = Annotated[float, Field(ge=0, le=1 + 1e-6), AfterValidator(lambda share: min(share, 1.0))]
 _Positive = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 
 TEXT, FLAG, NUMBER = TypeAdapter(str), TypeAdapter(bool), TypeAdapter(_Number)

@@ -68,7 +68,7 @@ class GltfSurface:
         return names | ({"normal maps"} if "normalTexture" in self.material else set())
 
     @property
-    def is_textured(self) -> bool:
+    def _is_textured(self) -> bool:
         """True if its color, alpha or emission is a picture."""
         if self.material is None:
             return False
@@ -93,8 +93,10 @@ class GltfSurface:
     def rows(self, pieces: Pieces) -> tuple[Float[np.ndarray, "n 10"], Bool[np.ndarray, " n"]]:
         if self.material is None:
             colors, count = self.geometry.colors, len(pieces)
-            plain = plain_material(count) if colors is None else metallic_roughness(
-                pieces.of(colors).mean(axis=1)[:, :3] * GREY, 0.0, 0.5
+            plain = (
+                plain_material(count)
+                if colors is None
+                else metallic_roughness(pieces.of(colors).mean(axis=1)[:, :3] * GREY, 0.0, 0.5)
             )
             return plain, np.ones(count, bool)
         with self._named():
@@ -105,8 +107,10 @@ class GltfSurface:
             return rows, base[:, 3] >= cutoff if self._is_cut else np.ones(len(pieces), bool)
 
     def spread(self, pieces: Pieces) -> Float[np.ndarray, " n"]:
+        spread = np.zeros(len(pieces))
+        if not self._is_textured:
+            return spread
         with self._named():
-            spread = np.zeros(len(pieces))
             if (name := f"{self._color_name}Texture") in self._pbr:
                 picture, uv = self._lookup(self._pbr.entry(name), color=True)
                 spreads = picture.spreads(pieces.of(uv)) * self._pbr.get(f"{self._color_name}Factor", RGBA, (1,) * 4)

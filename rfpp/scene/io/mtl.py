@@ -75,9 +75,7 @@ class ObjMaterial:
         picture, uv = self._picture("kd", mesh, textures)
         return (picture.spreads(pieces.of(uv))[:, :3] * self.values.get("kd", [1.0] * 3)).max(axis=1)
 
-    def _color(
-        self, key: str, pieces: Pieces, mesh: TrimeshArrays, textures: Textures
-    ) -> Float[np.ndarray, "n 3"]:
+    def _color(self, key: str, pieces: Pieces, mesh: TrimeshArrays, textures: Textures) -> Float[np.ndarray, "n 3"]:
         if key not in self.textures:
             return np.tile(self._value(key), (len(pieces), 1))
         picture, uv = self._picture(key, mesh, textures)

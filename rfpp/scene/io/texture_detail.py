@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -78,6 +78,7 @@ def _quarters(corners: Float[np.ndarray, "n 3 c"]) -> Float[np.ndarray, "m 3 c"]
     return np.concatenate([np.stack(part, 1) for part in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))])
 
 
+@runtime_checkable
 class Surface(Protocol):
     """A material with textures, on a mesh."""
 
@@ -137,9 +138,7 @@ def detail_notice(textures: int, added: int) -> str:
     return f"textures became colors of triangles ({textures}), for which {added:,} triangles were added"
 
 
-def with_detail(
-    parts: Sequence[Part | TexturedPart], detail: int, most: int | None = None
-) -> tuple[list[Part], int]:
+def with_detail(parts: Sequence[Part | TexturedPart], detail: int, most: int | None = None) -> tuple[list[Part], int]:
     """Return finished parts, and the number of added triangles.
 
     Args:

@@ -95,7 +95,9 @@ def test_a_scene_of_everything_together(tmp_path: Path) -> None:
             {
                 "extensions": {
                     "KHR_materials_pbrSpecularGlossiness": {
-                        "diffuseFactor": [0.5, 0.25, 0, 1], "specularFactor": [0.2, 0.1, 0], "glossinessFactor": 0.7,
+                        "diffuseFactor": [0.5, 0.25, 0, 1],
+                        "specularFactor": [0.2, 0.1, 0],
+                        "glossinessFactor": 0.7,
                     }
                 }
             },
