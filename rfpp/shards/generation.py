@@ -110,5 +110,5 @@ def _locked(recipe: Recipe, part: Slice) -> Iterator[None]:
                 path.unlink(missing_ok=True)
     except Timeout:
         raise UserError(
-            f"{recipe.root}: another process is generating slice {part.index} of {part.count} there: wait for it, or stop it"
+            f"{recipe.root}: another process is generating slice {part.index} of {part.count}: wait for it, or stop it"
         ) from None
