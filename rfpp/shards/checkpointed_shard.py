@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import shutil
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import asdict, dataclass
@@ -54,12 +55,11 @@ class SampleFolder:
             return None
         return SampleBlocks(blocks, **head["counts"])
 
-    def remove(self, key: str) -> None:
-        """Delete a sample, and the folder if it is empty."""
-        self._file(key).unlink(missing_ok=True)
-        for folder in (self.path, self.path.parent):
-            with suppress(OSError):  # not empty
-                folder.rmdir()
+    def clear(self) -> None:
+        """Delete the folder with all samples, and with what killed workers did not finish."""
+        shutil.rmtree(self.path, ignore_errors=True)
+        with suppress(OSError):  # holds other shards
+            self.path.parent.rmdir()
 
     def write_failure(self, key: str, error: Exception) -> None:
         """Record the failure of a scene."""
@@ -109,8 +109,7 @@ class UnfinishedShard:
         """
         samples = ((task.key, self.folder.read(task.key)) for task in self.shard.tasks)
         write_shard(self.recipe.root, self.shard.file, self.recipe.fingerprint, samples)
-        for task in self.shard.tasks:
-            self.folder.remove(task.key)
+        self.folder.clear()
 
 
 @dataclass(frozen=True)
