@@ -11,7 +11,7 @@ from .glb import Glb, png
 #: Kind of deviation from Blender → names of the objects, lights or materials.
 Warnings = defaultdict[str, list[str]]
 
-#: Longer side of textures in pixels; they are averaged over triangles.
+#: Longer side of textures in pixels; they become colors of triangles.
 _SIDE = 1024
 _WITH_TEXTURES = ("Base Color", "Emission Color")
 _IGNORED = {
