@@ -16,8 +16,8 @@ class PerceptualLoss:
     Not an `nn.Module`, so that the trunk is neither trained nor saved with the model; see `LPIPS`.
 
     Args:
-        images_per_step: Images of a batch to read at most, the first ones, at full resolution; None reads all. It
-            counts per batch if a step has several, because of several devices or gradient accumulation.
+        images_per_step: Number of images of a batch that are read, at full resolution; None reads all. A step with
+            several batches (devices, gradient accumulation) reads as many of each.
 
     Raises:
         MissingDependencyError: If the weights are not in the user cache.
