@@ -80,9 +80,10 @@ class GltfSurface:
         if self.material is None:
             return ""
         with self._named():
-            blends = self.material.get("alphaMode", TEXT, "OPAQUE") == "BLEND" and not self._is_cut
-            alpha = self._color(Pieces.whole(self.geometry.corners))[:, 3]
-            why = "alphaMode BLEND" if blends and alpha.min(initial=1) < _OPAQUE else ""
+            why = ""
+            if self.material.get("alphaMode", TEXT, "OPAQUE") == "BLEND" and not self._is_cut:
+                alpha = self._color(Pieces.whole(self.geometry.corners))[:, 3]
+                why = "alphaMode BLEND" if alpha.min(initial=1) < _OPAQUE else ""
             for kind, factor in (
                 ("transmission", "transmissionFactor"),
                 ("diffuse_transmission", "diffuseTransmissionFactor"),

@@ -43,7 +43,7 @@ class Pieces:
     @classmethod
     def whole(cls, corners: Float[np.ndarray, "f 3 3"]) -> Pieces:
         """Return each face as one piece."""
-        return cls(np.arange(len(corners)), np.tile(np.eye(3), (len(corners), 1, 1)), corners)
+        return cls(np.arange(len(corners)), np.broadcast_to(np.eye(3), (len(corners), 3, 3)), corners)
 
     def __len__(self) -> int:
         return len(self.face)
