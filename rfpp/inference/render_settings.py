@@ -29,6 +29,14 @@ def _as_square(value: Any) -> Any:
     return (value, value) if isinstance(value, str | int) else value
 
 
+def _placed(camera: Mapping[str, Any]) -> dict[str, Any] | None:
+    """Return the values of a camera with its defaults; None if none is given."""
+    given = {name: value for name, value in camera.items() if value is not None}
+    if given and "position" not in given:
+        raise ValueError("position is missing: add camera.position=[x,y,z]")
+    return {"look_at": (0.0, 0.0, 0.0), "fov": 40.0, **given} if given else None
+
+
 Positive = Annotated[int, Field(ge=1)]
 Index = Annotated[int, Field(ge=0)]
 Parts = Literal["together", "separate"]
@@ -41,7 +49,7 @@ class RenderSettings(Strict):
     output: Path
     resolution: Annotated[tuple[Positive, Positive] | None, BeforeValidator(_as_square)]
     cameras: Annotated[tuple[Index, ...] | None, BeforeValidator(_as_list)]
-    camera: Annotated[Camera | None, BeforeValidator(lambda camera: camera if camera["position"] else None)]
+    camera: Annotated[Camera | None, BeforeValidator(_placed)]
     triangles: Positive | None
     detail: Index
     up: Literal["y", "z"] | None

@@ -10,7 +10,7 @@ from torch.utils.data import Dataset
 from rfpp.batch import SceneViews
 from rfpp.raycast.first_hit import stack_channels
 from rfpp.shards.dataset import ShardSplit
-from rfpp.shards.sample import SceneSample, ViewChoice
+from rfpp.shards.sample import SceneSample
 
 
 def select_views(sample: SceneSample, views: Sequence[int], channels: Sequence[str]) -> SceneViews:
@@ -28,12 +28,6 @@ def select_views(sample: SceneSample, views: Sequence[int], channels: Sequence[s
     )
 
 
-def read_views(split: ShardSplit, index: int, channels: Sequence[str], choose: ViewChoice | None = None) -> SceneViews:
-    """Return `select_views` of the scene at `index`, decoding only these views and channels."""
-    sample = split.read(index, choose, channels)
-    return select_views(sample, range(len(sample.fov)), channels)
-
-
 class AllViews(Dataset):
     """Every view of each scene, as stored: for validation and evaluation."""
 
@@ -44,4 +38,5 @@ class AllViews(Dataset):
         return len(self.split)
 
     def __getitem__(self, index: int) -> SceneViews:
-        return read_views(self.split, index, self.channels)
+        sample = self.split.read(index, channels=self.channels)
+        return select_views(sample, range(len(sample.fov)), self.channels)

@@ -61,6 +61,7 @@ class Share:
     Attributes:
         steps: number of global batches in the whole run.
         start: number of global batches already trained on.
+        rank: number of the rank, of `ranks`.
         accumulate: number of batches in which a rank reads its part of each.
     """
 

@@ -16,7 +16,7 @@ from rfpp.radiosity.radiosity import Radiosity
 from rfpp.reference import cycles
 from rfpp.shards.dataset import ShardSplit, find_sample
 from rfpp.shards.sample import decode, encode
-from rfpp.shards.views import read_views
+from rfpp.shards.views import AllViews
 
 CYCLES = cycles.CyclesSettings(
     samples=16, adaptive_threshold=0.0, denoise=False, max_bounces=8, diffuse_bounces=8, glossy_bounces=8,
@@ -93,7 +93,7 @@ def test_the_light_of_every_object_reaches_the_tokens_of_a_batch(labeled):
     sample = find_sample(labeled, "train-000000")
     assert sample.token_light.shape == (sample.triangles.num_objects, 8, 3, 3)
     split = ShardSplit(labeled, "train")
-    batch = RaggedBatch.pack([read_views(split, index, ("albedo",)) for index in range(2)])
+    batch = RaggedBatch.pack([AllViews(split, ("albedo",))[index] for index in range(2)])
     first = sample.triangles.num_objects * 8
     np.testing.assert_array_equal(batch.token_light[:first].numpy(), sample.token_light.reshape(first, 3, 3))
     padded = batch.padded()

@@ -104,6 +104,7 @@ def test_a_camera_may_be_placed(render, refused, tmp_path):
     [expected] = Renderer(network(), checkpoint_info()).render(loaded, (16, 16))
     np.testing.assert_allclose(read_exr(file)["RGB"], expected, rtol=2e-3, atol=1e-4)
     assert "look_at equals position" in refused(f"scene={BOX}", "camera.position=[0,0,0]")
+    assert "add camera.position=[x,y,z]" in refused(f"scene={BOX}", "camera.fov=50")
 
 
 def test_transports_are_an_option(render):

@@ -22,7 +22,7 @@ TEXTURE_TRIANGLES = 20_000
 _ALIKE = 0.04
 #: In each round, triangles with at least this share of the largest error are divided.
 _SHARE = 0.25
-#: Share of the area of all textured parts at which an error is too small to count.
+#: Share of the area of all `TexturedPart`s below which an error does not count.
 _SMALL = 1e-5
 
 
