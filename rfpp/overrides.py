@@ -15,6 +15,14 @@ from rfpp.errors import UserError
 
 #: Numbers in whose place a list may be given.
 _ONE_OR_MORE = ("resolution", "trainer.devices")
+#: Settings that may be null although their default is not; Lightning has more of them.
+_NULLABLE = (
+    "resolution",
+    "animation",
+    "callbacks.checkpoints.every_n_minutes",
+    "callbacks.divergence.patience",
+    "reference.token_bounces",
+)
 #: Settings of version 0.1 whose new names are not similar.
 _RENAMED = {
     "callbacks.life": "callbacks.ablation",
@@ -33,7 +41,7 @@ def defaults_of(config_name: str, config_dir: Path, overrides: Sequence[str]) ->
 
 
 def require_valid(cfg: DictConfig, defaults: DictConfig, overrides: Sequence[str]) -> None:
-    """Raise UserError for a value that has another type than its default, is not finite, or is negative.
+    """Raise UserError for a value that has another type than its default, is not finite, null, or negative.
 
     A number is negative against expectation if its default is not. Values without a default are not checked.
     """
@@ -45,8 +53,9 @@ def _require(key: str, before: Any, value: Any) -> None:
     if isinstance(before, DictConfig) and isinstance(value, DictConfig):
         for name in before.keys() & value.keys():
             _require(f"{key}.{name}", *(OmegaConf.select(each, str(name)) for each in (before, value)))
-    elif (expected := _expected(before, value)) and not (key in _ONE_OR_MORE and isinstance(value, ListConfig)):
-        raise UserError(f"{key}={value}: {expected} was expected; the default is {before}")
+    elif (expected := _expected(before, value)) and not _is_exception(key, value):
+        shown = "null" if value is None else value
+        raise UserError(f"{key}={shown}: {expected} was expected; the default is {before}")
 
 
 def suggestions(key: str, defaults: DictConfig) -> list[str]:
@@ -65,9 +74,15 @@ def _key(override: str) -> str:
     return override.lstrip("+~").partition("=")[0]
 
 
+def _is_exception(key: str, value: Any) -> bool:
+    if value is None:
+        return key in _NULLABLE or key.startswith("trainer.")
+    return key in _ONE_OR_MORE and isinstance(value, ListConfig)
+
+
 def _expected(before: Any, value: Any) -> str | None:
     """Return what was expected in place of `value`; None if it may be right."""
-    if before is None or value is None or isinstance(before, str) or OmegaConf.is_dict(before):
+    if before is None or isinstance(before, str) or OmegaConf.is_dict(before):
         return None
     if isinstance(before, bool):
         return None if isinstance(value, bool) else "true or false"

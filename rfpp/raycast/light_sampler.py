@@ -5,7 +5,7 @@ from __future__ import annotations
 from copy import copy
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from rfpp.errors import UserError
 from rfpp.raycast.ggx import lobe_albedo
@@ -15,12 +15,15 @@ from rfpp.scene.triangles import EMISSION, SceneTriangles
 
 #: Triangles of a light up to which Lambert's formula is used.
 _FORMULA_UP_TO = 16
+#: Lights of the sampler. Where a scene has more, neighbors are sampled together: with noise, in bounded time.
+_AT_MOST = 128
 
 
 class LightSampler:
     """Emitters and occluders of one scene, for any number of cameras.
 
-    The emitting triangles of one object are one light, sampled by power.
+    The emitting triangles of one object are one light, sampled by power; those of several near ones in scenes with more
+    than 128 such objects.
 
     Args:
         triangles: The whole scene, in world space.
@@ -34,12 +37,12 @@ class LightSampler:
         self.triangles = triangles
         self.caster = caster or RayCaster(triangles.positions)
         emitters = np.flatnonzero(triangles.is_emissive)
+        emitters, self._owner, light = _lights(triangles, emitters)
         corners = triangles.positions[emitters].astype(np.float64)
         radiance = triangles.material[emitters][:, EMISSION].astype(np.float64)
         cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         size = np.linalg.norm(cross, axis=-1)
         area = size / 2
-        _, light = np.unique(triangles.object_index[emitters], return_inverse=True)
         self.names, count = triangles.light_names, np.bincount(light)
         power = area * radiance.mean(-1)
         share = power / np.bincount(light, power)[light] if len(light) else power
@@ -84,9 +87,38 @@ class LightSampler:
         """Return a sampler in which only this light shines. Raises UserError if there is none of this name."""
         if name not in self.names:
             raise UserError(f"light '{name}' does not exist: choose from {', '.join(self.names)}")
-        other, shining = copy(self), np.arange(len(self.names)) == self.names.index(name)
-        other.scene = self.scene._replace(shining=shining)
+        other, own = copy(self), self._owner == self.names.index(name)
+        shining = np.add.reduceat(own, self.scene.first[:-1]) > 0
+        radiance = np.where(own[:, None], self.scene.radiance, 0.0)
+        other.scene = self.scene._replace(shining=shining, radiance=radiance)
         return other
+
+
+def _lights(
+    triangles: SceneTriangles, emitters: Int[np.ndarray, " e"]
+) -> tuple[Int[np.ndarray, " e"], Int[np.ndarray, " e"], Int[np.ndarray, " e"]]:
+    """Return the emitting triangles light by light, the number of each one's object among the lights, and its light."""
+    _, owner = np.unique(triangles.object_index[emitters], return_inverse=True)
+    count = np.bincount(owner)
+    if len(count) <= _AT_MOST:
+        return emitters, owner, owner
+    middle = np.zeros((len(count), 3))
+    np.add.at(middle, owner, triangles.positions[emitters].mean(axis=1))
+    light_of_object = np.zeros(len(count), np.int64)
+    groups = [np.arange(len(count))]
+    middle /= count[:, None]
+    while 2 * len(groups) <= _AT_MOST:
+        groups = [half for group in groups for half in _halves(middle, group)]
+    for number, group in enumerate(groups):
+        light_of_object[group] = number
+    order = np.argsort(light_of_object[owner], kind="stable")
+    return emitters[order], owner[order], light_of_object[owner][order]
+
+
+def _halves(middle: Float[np.ndarray, "l 3"], group: Int[np.ndarray, " g"]) -> list[Int[np.ndarray, " h"]]:
+    """Split objects at the median along the axis of their largest extent."""
+    axis = np.ptp(middle[group], axis=0).argmax()
+    return np.array_split(group[np.argsort(middle[group, axis], kind="stable")], 2)
 
 
 def _outwards(

@@ -9,15 +9,8 @@ from rfpp.raycast import ggx
 from rfpp.raycast.compiled import compiled
 from rfpp.raycast.counted_random import Key, key_of, shift_of, spread
 from rfpp.raycast.ggx import lobe_and_pdf
-from rfpp.raycast.light_loops import (
-    direct_at,
-    draw_lobe,
-    emitter_light,
-    light_sample,
-    over_density,
-    rays_to_all,
-    target_of,
-)
+from rfpp.raycast.light_directions import light_sample, target_of
+from rfpp.raycast.light_loops import direct_at, draw_lobe, emitter_light, over_density, rays_to_all
 from rfpp.raycast.lit_scene import (
     LitScene,
     alpha_of,

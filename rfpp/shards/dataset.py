@@ -16,7 +16,7 @@ from rfpp.shards.cache import ShardCache
 from rfpp.shards.index import SampleEntry
 from rfpp.shards.manifest import Manifest
 from rfpp.shards.sample import SceneSample, ViewChoice, decode
-from rfpp.shards.store import Root
+from rfpp.shards.store import RemoteStore, Root
 
 #: Limit of open shards per process; the least recently used is closed first.
 _MAX_OPEN = 32
@@ -76,6 +76,15 @@ class ShardSplit(Dataset):
         """Return the key of a sample, without reading it."""
         number, position = self._locate(index)
         return self._opened(number)[0][position].key
+
+    def shard_of(self, index: int) -> int:
+        """Return the number of the shard that holds a sample."""
+        return self._locate(index)[0]
+
+    @property
+    def is_remote(self) -> bool:
+        """Whether any shard is behind a URL."""
+        return any(isinstance(shard.store, RemoteStore) for shard in self.shards)
 
     def triangles(self, index: int) -> int:
         """Return the number of triangles of a scene, without opening its shard."""

@@ -33,6 +33,11 @@ class ShuffledOrder:
         """Return the number of samples in an epoch."""
         return int(self._ends[-1])
 
+    @property
+    def window_size(self) -> int:
+        """Return the number of samples in the largest possible window."""
+        return int(np.sort(self._sizes)[-self._window :].sum())
+
     def draws(self, start: int = 0) -> Iterator[tuple[int, int]]:
         """Yield (epoch, sample) without end, beginning with draw number `start`."""
         first_epoch, position = divmod(start, len(self))

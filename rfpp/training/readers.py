@@ -8,6 +8,7 @@ from rfpp.errors import UserError
 from rfpp.shards.order import ShuffledOrder, truncated
 from rfpp.training.batching import Batching
 from rfpp.training.loader import SkippingCorrupt
+from rfpp.training.prefetch import FetchedAhead
 from rfpp.training.source import DataSource
 from rfpp.training.streaming import StreamedViews
 from rfpp.training.views import GlobalBatches, Share, TrainingViews
@@ -34,8 +35,9 @@ class IndexedReader:
         self, views: TrainingViews, source: DataSource, batching: Batching, share: Share, workers: int
     ) -> dict[str, Any]:
         sizes = truncated(views.split.sizes, source.training_scenes or len(views.split))
+        order = ShuffledOrder(sizes, views.seed, batching.shuffle_shards)
         batches = GlobalBatches(
-            ShuffledOrder(sizes, views.seed, batching.shuffle_shards),
+            FetchedAhead(order, views.split) if views.split.is_remote else order,
             batching.partition,
             lambda draw: source.triangles(views.split, draw[1]),
             batching.scenes_per_step,

@@ -17,6 +17,7 @@ from rfpp.shards.sample import SceneSample, ViewChoice
 from rfpp.shards.views import select_views
 from rfpp.training.augmentation import Augmentation
 from rfpp.training.batching import Partition
+from rfpp.training.prefetch import FetchedAhead
 
 
 class TrainingViews(Dataset):
@@ -81,7 +82,7 @@ class GlobalBatches(Sampler[list[tuple[int, int]]]):
 
     def __init__(
         self,
-        order: ShuffledOrder,
+        order: ShuffledOrder | FetchedAhead,
         partition: Partition,
         triangles_of: Callable[[tuple[int, int]], int],
         scenes_per_step: int,

@@ -4,13 +4,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from known_scenes import LIGHT, look_at, material, moved, pack, rigid_motion, sphere, square, still_life
+from known_scenes import LIGHT, box, look_at, material, moved, pack, rigid_motion, sphere, square, still_life
 from marks import requires_blender
 from reference_presets import preset
 from scene_families import draw, family
 from slow_light import direct_light, form_factor
 
-from rfpp.raycast import surface, threads
+from rfpp.raycast import light_sampler, surface, threads
 from rfpp.raycast.first_hit import DirectLight, GBuffer, channel, first_hit, stack_channels
 from rfpp.raycast.known_light import with_known_light
 from rfpp.raycast.light_sampler import LightSampler
@@ -197,6 +197,27 @@ def test_lights_add_up():
         emission[dark, EMISSION] = 1e-30  # still a light, so still unseen by the camera
         parts.append(light(SceneTriangles(**{**vars(scene), "material": emission}), samples=64))
     np.testing.assert_allclose(parts[0].diffuse, parts[1].diffuse + parts[2].diffuse, rtol=1e-4, atol=1e-4)
+
+
+def test_neighbors_among_many_lights_are_sampled_together(monkeypatch):
+    places = np.random.default_rng(5).uniform((-1, -1, 0.6), (1, 1, 1.2), (300, 3))
+    floor, glowing = (square(), material(0.5, specular=0.3, roughness=0.4)), material(1.0, emission=20.0)
+    scene = pack(floor, (box(0.2, (0.1, 0.1, 0.1)), material(0.6)), *((LIGHT + place, glowing) for place in places))
+    pose, fov, sampler = POSE, 40.0, LightSampler(scene)
+    assert len(sampler.scene.shining) == 128
+    together = light(scene, samples=16)
+    monkeypatch.setattr(light_sampler, "_AT_MOST", 300)
+    apart = light(scene, samples=16)
+    assert relative_error(together.diffuse, apart.diffuse) < 0.02
+    assert together.diffuse.mean() == pytest.approx(apart.diffuse.mean(), rel=2e-3)
+    assert together.glossy.mean() == pytest.approx(apart.glossy.mean(), rel=1e-2)
+    hits = first_hit(scene, pose, fov, 16, 16)
+    one, two, both = (
+        with_known_light(hits, pose, fov, chosen, samples=256).light.diffuse.mean()
+        for chosen in (sampler.only("object_2"), LightSampler(scene).only("object_2"), sampler)
+    )
+    assert one == pytest.approx(two, rel=0.1)
+    assert one < both / 30
 
 
 def test_rigid_motion_of_scene_and_camera_changes_nothing():

@@ -106,11 +106,18 @@ def disable() -> None:
     print(f"again: {is_engine()}")
 
 
-def area_in_cycles(shape: str, picture: str, sent: str) -> None:
-    """Render a floor under an area light in Cycles, and export it as the add-on does."""
+def light_in_cycles(kind: str, picture: str, sent: str) -> None:
+    """Render a floor under a light in Cycles, and export it as the add-on does."""
     scene = bpy.context.scene
     floor(6.0)
-    area_light(shape, scene)
+    if kind in ("SPOT", "SUN"):
+        light = bpy.data.lights.new("Lamp", kind)
+        light.energy, light.color = 200.0 if kind == "SPOT" else 3.0, (1.0, 0.6, 0.3)
+        if kind == "SPOT":
+            light.spot_size, light.spot_blend, light.shadow_soft_size = math.radians(50), 0.3, 0.0
+        aimed(bpy.data.objects.new("Lamp", light), (0.3, 0.2, 2.5), (-0.2, 0.5, 0))
+    else:
+        area_light(kind, scene)
     camera(scene, (0, 0, 5), (0, 0, 0))
     scene.render.engine = "CYCLES"
     scene.cycles.samples, scene.cycles.use_denoising, scene.cycles.use_adaptive_sampling = 256, False, False
@@ -123,9 +130,8 @@ def area_in_cycles(shape: str, picture: str, sent: str) -> None:
 
 
 def render_beside_cycles(picture: str, cycles: str, width: str = "96", height: str = "64") -> None:
-    """Render with walls that reflect light, and without the spot, which is wider in rfpp, in both engines."""
+    """Render with walls that reflect light in both engines."""
     scene = furnished()
-    bpy.data.objects.remove(bpy.data.objects["Spot"])
     for place, turn in (((0, 2, 2), (math.pi / 2, 0, 0)), ((-2, 0, 2), (math.pi / 2, 0, math.pi / 2))):
         bpy.ops.mesh.primitive_plane_add(size=4, location=place, rotation=turn)
         principled("Wall", (0.75, 0.7, 0.65), Roughness=0.9)

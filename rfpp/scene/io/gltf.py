@@ -20,7 +20,20 @@ from scipy.spatial.transform import Rotation
 
 from rfpp.errors import SceneError
 from rfpp.scene.io.gltf_file import GltfFile
-from rfpp.scene.io.gltf_json import FLAG, INDEX, INDICES, MATRIX, POSITIVE, QUATERNION, RGB, TEXT, VECTOR, YFOV, Entry
+from rfpp.scene.io.gltf_json import (
+    CONE,
+    FLAG,
+    INDEX,
+    INDICES,
+    MATRIX,
+    POSITIVE,
+    QUATERNION,
+    RGB,
+    TEXT,
+    VECTOR,
+    YFOV,
+    Entry,
+)
 from rfpp.scene.io.gltf_material import GltfSurface
 from rfpp.scene.io.gltf_primitive import Geometry
 from rfpp.scene.io.gltf_textures import GltfTextures
@@ -154,7 +167,11 @@ class _Reader:
         position, direction = z_up(np.stack([pose[:3, 3], -pose[:3, 2]]))
         if not (np.abs([strength, position, direction]) < BEYOND).all() or not direction.any():
             raise SceneError(f"'{label}': its light is NaN, infinite or too large: export it again")
-        yield PunctualLight(label, kind, strength, position, _unit(direction))
+        spot = light.entry("spot")
+        cone = spot.get("innerConeAngle", CONE, 0.0), spot.get("outerConeAngle", CONE, math.pi / 4)
+        if cone[0] > cone[1]:
+            raise SceneError(f"'{label}': innerConeAngle is larger than outerConeAngle: export it again")
+        yield PunctualLight(label, kind, strength, position, _unit(direction), cone)
 
     def warn(self, path: Path, added: int) -> None:
         if self.textures.used:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Any
 
 from pydantic import AfterValidator, Field, TypeAdapter, ValidationError
@@ -21,6 +22,7 @@ INDEX, INDICES = TypeAdapter(_Index), TypeAdapter(list[_Index])
 SHARE, POSITIVE = TypeAdapter(_Share), TypeAdapter(_Positive)
 RGB, RGBA = TypeAdapter(tuple[(_Positive,) * 3]), TypeAdapter(tuple[(_Share,) * 4])
 PAIR, VECTOR, QUATERNION, MATRIX = (TypeAdapter(tuple[(_Number,) * width]) for width in (2, 3, 4, 16))
+CONE = TypeAdapter(Annotated[float, Field(ge=0, le=math.pi / 2 + 1e-6)])
 YFOV = TypeAdapter(Annotated[float, Field(gt=0, lt=3.14159)])
 
 

@@ -86,6 +86,7 @@ class PunctualLight:
         kind: shines in all directions, in a cone, or from infinity.
         strength: [3] linear RGB radiant intensity (W/sr); irradiance (W/m²) for directional lights.
         position, direction: [3] location, and unit direction of the light.
+        cone: half angles in radians of a spot's full intensity and of its edge.
     """
 
     name: str
@@ -93,6 +94,7 @@ class PunctualLight:
     strength: Float[np.ndarray, 3]
     position: Float[np.ndarray, 3]
     direction: Float[np.ndarray, 3]
+    cone: tuple[float, float] = (0.0, math.pi / 4)
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,14 +1,11 @@
-"""Lights of imported scenes: punctual lights become emissive triangles, and dark scenes get additional lights.
-
-- Point light: a tetrahedron with edges of 0.05 and radiance 4 · intensity / surface; exact in the mean over directions,
-  within 18% in each.
-- Spot light: one triangle with edges of 0.05 facing its direction, with radiance intensity / area; exact along the
-  axis. It falls off as a cosine instead of at a cone, and shines to the front only.
-- Directional light: one triangle with edges of 0.16, 2.4 from the origin and facing it, with radiance irradiance · 2.4²
-  / area; exact at the origin.
+"""Light of imported scenes: lights without extent become triangles, and dark scenes get additional lights.
 
 The brightness of a scene is the mean unoccluded irradiance of its surfaces. Below a fiftieth of the brightness of
 training scenes, three lights are added around the first camera; above twenty times that, lights are dimmed to it.
+
+Added lights stand 2.4 from the origin. Where a surface stands between such a light and the center of the view, as in a
+closed room, the light moves towards that center, to three fifths of the free distance; it shrinks alike, so that the
+center stays as bright.
 """
 
 from __future__ import annotations
@@ -21,7 +18,8 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Bool, Float
 
-from rfpp.scene.io.imported_scene import ImportedScene, Part, PunctualLight
+from rfpp.scene.io.imported_scene import ImportedScene, Part
+from rfpp.scene.io.punctual_lights import facing_triangle, fixture
 from rfpp.scene.spec import Camera
 from rfpp.scene.triangles import EMISSION
 
@@ -29,9 +27,7 @@ from rfpp.scene.triangles import EMISSION
 USUAL = 2.2
 _FAINT, _DAZZLING = USUAL / 50, USUAL * 20
 
-_LAMP_EDGE, _LIGHT_EDGE, _LIGHT_DISTANCE = 0.05, 0.16, 2.4
-_TETRAHEDRON = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]) / np.sqrt(8)  # edges of 1
-_SIDES = np.array([[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]])
+_LIGHT_EDGE, _LIGHT_DISTANCE, _NEARER = 0.16, 2.4, 0.6
 
 #: Azimuth relative to the camera and elevation in degrees, radiance: white walls inside the box stay below 1.
 _RIG = (("key_light", 45.0, 50.0, 600.0), ("fill_light", -60.0, 35.0, 330.0), ("back_light", 170.0, 60.0, 160.0))
@@ -40,20 +36,21 @@ _SAMPLES = 512
 
 def with_lights(scene: ImportedScene, camera: Camera, path: Path) -> list[Part]:
     """Return the parts of a framed scene and its lights; added lights are placed around `camera`."""
-    parts = [*scene.parts, *map(emitter, scene.punctual_lights)]
+    parts = [*scene.parts, *(part for light in scene.punctual_lights for part in fixture(light))]
     glowing = sum(part.is_light for part in scene.parts)
     if glowing:
         warnings.warn(
             f"{path}: emissive parts light the scene and are invisible to the camera ({glowing})", stacklevel=4
         )
-    if approximate := sum(light.kind != "point" for light in scene.punctual_lights):
-        warnings.warn(f"{path}: spot and directional lights became triangles, which shine more widely ({approximate})",
-                      stacklevel=4)  # fmt: skip
+    if spots := sum(light.kind == "spot" for light in scene.punctual_lights):
+        warnings.warn(f"{path}: spot lights shine from black shades, which the camera can see ({spots})", stacklevel=4)
     brightness = irradiance(parts)
     if brightness < _FAINT:
         why = f"its brightness is {brightness / USUAL:.1%} of training scenes'" if brightness else "it has no light"
-        warnings.warn(f"{path}: {why}: three lights are added", stacklevel=4)
-        parts += [_rig_light(camera, *values) for values in _RIG]
+        rig, blocked = _rig(camera, parts)
+        where = ", in front of what would block them" if blocked else ""
+        warnings.warn(f"{path}: {why}: three lights are added{where}", stacklevel=4)
+        parts += rig
     elif brightness > _DAZZLING:
         factor = USUAL / brightness
         warnings.warn(
@@ -61,19 +58,6 @@ def with_lights(scene: ImportedScene, camera: Camera, path: Path) -> list[Part]:
         )
         parts = [_dimmed(part, factor) for part in parts]
     return parts
-
-
-def emitter(light: PunctualLight) -> Part:
-    """Return the triangles that replace a light."""
-    if light.kind == "point":
-        surface = np.sqrt(3) * _LAMP_EDGE**2
-        return _light(light.name, light.position + _LAMP_EDGE * _TETRAHEDRON, _SIDES, 4 * light.strength / surface)
-    if light.kind == "spot":
-        position, edge, radiance = light.position, _LAMP_EDGE, light.strength / _area(_LAMP_EDGE)
-    else:
-        position, edge = -_LIGHT_DISTANCE * light.direction, _LIGHT_EDGE
-        radiance = light.strength * _LIGHT_DISTANCE**2 / _area(_LIGHT_EDGE)
-    return replace(_triangle(light.name, position, light.direction, edge, radiance), one_sided=True)
 
 
 def irradiance(parts: Sequence[Part]) -> float:
@@ -108,28 +92,39 @@ def _sampled(
     return corners.mean(axis=1), normals / lengths, is_one_sided, weight.sum() / _SAMPLES
 
 
-def _rig_light(camera: Camera, name: str, azimuth: float, elevation: float, radiance: float) -> Part:
-    x, y = np.subtract(camera.position, camera.look_at)[:2]
-    around, above = np.arctan2(y, x) + np.radians(azimuth), np.radians(elevation)
-    towards = np.array([np.cos(above) * np.cos(around), np.cos(above) * np.sin(around), np.sin(above)])
-    return _triangle(name, _LIGHT_DISTANCE * towards, towards, _LIGHT_EDGE, np.full(3, radiance))
+def _rig(camera: Camera, parts: Sequence[Part]) -> tuple[list[Part], bool]:
+    """Return three lights, and whether any of them had to move."""
+    corners = np.concatenate([part.corners for part in parts if not part.is_light])
+    position = np.array(camera.position, np.float64)
+    forward = np.subtract(camera.look_at, position)
+    forward /= np.linalg.norm(forward)
+    center = position + min(_free_distance(corners, position, forward), _LIGHT_DISTANCE) / 2 * forward
+    lights, blocked = [], False
+    x, y = -forward[:2]
+    for name, azimuth, elevation, radiance in _RIG:
+        around, above = np.arctan2(y, x) + np.radians(azimuth), np.radians(elevation)
+        outward = np.array([np.cos(above) * np.cos(around), np.cos(above) * np.sin(around), np.sin(above)])
+        place, size = _LIGHT_DISTANCE * outward, 1.0
+        away = place - center
+        if (free := _free_distance(corners, center, away)) < 1:
+            size, blocked = _NEARER * free, True
+            place = center + size * away
+        triangle = facing_triangle(name, place, -outward, size * _LIGHT_EDGE, np.full(3, radiance))
+        lights.append(replace(triangle, one_sided=False))
+    return lights, blocked
 
 
-def _triangle(name: str, center: np.ndarray, normal: np.ndarray, edge: float, radiance: np.ndarray) -> Part:
-    aside = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
-    aside /= np.linalg.norm(aside)
-    angles = np.radians([0, 120, 240])[:, None]
-    corners = np.cos(angles) * aside + np.sin(angles) * np.cross(normal, aside)
-    return _light(name, center + edge / np.sqrt(3) * corners, np.array([[0, 1, 2]]), radiance)
-
-
-def _light(name: str, vertices: np.ndarray, faces: np.ndarray, radiance: np.ndarray) -> Part:
-    row = np.array([1, 1, 1, 0, 0, 0, 1, *radiance], np.float32)  # white and diffuse, as in training scenes
-    return Part(name, vertices, faces, np.tile(row, (len(faces), 1)), smooth=False)
-
-
-def _area(edge: float) -> float:
-    return np.sqrt(3) / 4 * edge**2
+def _free_distance(corners: Float[np.ndarray, "f 3 3"], origin: np.ndarray, direction: np.ndarray) -> float:
+    """Return the distance to the first triangle along a ray, in lengths of its direction; infinity for none."""
+    with np.errstate(divide="ignore", invalid="ignore"):  # of triangles without area and those seen from their edge
+        a, b, c = corners[:, 0] - origin, corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+        across = np.cross(direction, c)
+        inverse = 1 / (b * across).sum(-1)
+        turned = np.cross(-a, b)
+        u, v = (-a * across).sum(-1) * inverse, turned @ direction * inverse
+        distance = (c * turned).sum(-1) * inverse
+        hit = (u >= 0) & (v >= 0) & (u + v <= 1) & (distance > 0)
+    return float(distance[hit].min(initial=np.inf))
 
 
 def _dimmed(part: Part, factor: float) -> Part:

@@ -26,12 +26,14 @@ class ResumableCheckpoints(Checkpoint):
     resumed run repeats neither. Stop signals are handled there too: ranks agree, save, and raise StoppedError.
 
     Args:
-        every_n_steps: Steps between checkpoints; the last step is always saved.
+        every_n_steps: Multiples of this are saved, and the last step.
         every_n_minutes: Maximum time between checkpoints, by the first rank's clock, unless saving took more than a
             twentieth of it; None: by steps only.
     """
 
     def __init__(self, folder: str, every_n_steps: int, every_n_minutes: float | None, keep: int):
+        if every_n_steps < 1:
+            raise ValueError(f"callbacks.checkpoints.every_n_steps={every_n_steps}: use 1 or more")
         self.folder, self.keep = Path(folder), keep
         self.every_n_steps, self.every_n_minutes = every_n_steps, every_n_minutes
 
@@ -52,7 +54,7 @@ class ResumableCheckpoints(Checkpoint):
     def _end_step(self, trainer: L.Trainer) -> None:
         step = trainer.global_step
         received, due = self._agree(STOP_SIGNALS.take(), trainer.is_global_zero and self._is_due_by_time())
-        due = due or step - self._saved_step >= self.every_n_steps or step == trainer.max_steps
+        due = due or step // self.every_n_steps > self._saved_step // self.every_n_steps or step == trainer.max_steps
         if step > self._saved_step and (due or received):
             self._save(trainer, step, is_last=bool(received) or step == trainer.max_steps)
         if received and step < trainer.max_steps:

@@ -8,15 +8,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 from known_scenes import look_at, material, pack
+from scipy.spatial import ConvexHull
 
 from rfpp.errors import SceneError
 from rfpp.raycast.first_hit import first_hit
 from rfpp.raycast.known_light import with_known_light
 from rfpp.raycast.light_sampler import LightSampler
+from rfpp.raycast.surface import Surface
 from rfpp.scene.io.framing import Framing, default_camera
 from rfpp.scene.io.imported_scene import ImportedScene, Part, PunctualLight, plain_material
-from rfpp.scene.io.light_rig import USUAL, emitter, irradiance, with_lights
+from rfpp.scene.io.light_rig import USUAL, irradiance, with_lights
 from rfpp.scene.io.loading import load_scene
+from rfpp.scene.io.punctual_lights import fixture
 from rfpp.scene.packed import pack as packed
 from rfpp.scene.spec import Camera
 from rfpp.scene.triangles import EMISSION, SceneTriangles
@@ -34,8 +37,11 @@ def part(vertices=FLOOR, emission: float = 0.0, name: str = "part") -> Part:
     return Part(name, np.array(vertices, np.float64), faces, rows, smooth=False)
 
 
-def lamp(kind: str = "point", position=(0, 0, 1), direction=(0, 0, -1), strength: float = 1.0) -> PunctualLight:
-    return PunctualLight("lamp", kind, np.full(3, strength), np.array(position, float), np.array(direction, float))
+def lamp(
+    kind: str = "point", position=(0, 0, 1), direction=(0, 0, -1), strength: float = 1.0, cone=(0.0, np.pi / 4)
+) -> PunctualLight:
+    strengths, place, towards = np.full(3, strength), np.array(position, float), np.array(direction, float)
+    return PunctualLight("lamp", kind, strengths, place, towards, cone)
 
 
 def quietly(function, *args):
@@ -85,21 +91,51 @@ def test_the_default_camera_sees_the_whole_scene_and_little_else(shape: tuple) -
     assert camera.position[1] < 0 < camera.position[2]
 
 
-def cast(triangles: SceneTriangles, width: int = 17) -> float:
-    """Mean irradiance, shadows included, that the ray caster finds on what a camera above sees."""
+def seen_from_above(triangles: SceneTriangles, width: int = 17, samples: int = 4):
+    """Return the points and the irradiance, shadows included, that the ray caster finds on what a camera above sees."""
     pose, fov = look_at((0, 0, 1.2), up=(0, 1, 0)), 30.0
     sampler = LightSampler(triangles)
-    hits = with_known_light(first_hit(triangles, pose, fov, width, width), pose, fov, sampler, samples=4)
-    return float(np.pi * hits.light.diffuse[hits.hit].mean())
+    hits = with_known_light(first_hit(triangles, pose, fov, width, width), pose, fov, sampler, samples)
+    return Surface.at_hits(hits, triangles, pose, fov).point, np.pi * hits.light.diffuse[hits.hit].mean(axis=-1)
+
+
+def cast(triangles: SceneTriangles) -> float:
+    return float(seen_from_above(triangles)[1].mean())
+
+
+def below(light: PunctualLight, floor: np.ndarray) -> SceneTriangles:
+    surfaces = [(item.corners, item.material[0]) for item in fixture(light)]
+    return pack((part(floor).corners, material(diffuse=0.5)), *surfaces)
 
 
 @pytest.mark.parametrize("kind", ["point", "spot", "directional"])
 def test_a_lamp_gives_the_irradiance_it_promises(kind: str) -> None:
     """On a small floor below: intensity over squared distance, or the irradiance of the sun."""
-    light = emitter(lamp(kind, position=(0, 0, 1.5), strength=2.0))
+    light = lamp(kind, position=(0, 0, 1.5), strength=2.0, cone=(0.1, 0.2))
     expected = 2.0 if kind == "directional" else 2.0 / 1.5**2
-    triangles = pack((part(FLOOR * 0.02).corners, material(diffuse=0.5)), (light.corners, light.material[0]))
-    assert cast(triangles) == pytest.approx(expected, rel=0.2 if kind == "point" else 0.01)
+    assert cast(below(light, FLOOR * 0.02)) == pytest.approx(expected, rel=0.2 if kind == "point" else 0.02)
+
+
+@pytest.mark.parametrize("cone", [(0.0, 0.25), (0.1, 0.2), (0.2, 0.2)])
+def test_a_spot_lights_its_cone_and_nothing_else(cone: tuple[float, float]) -> None:
+    light, place = lamp("spot", position=(0, 0, 1.5), strength=2.0, cone=cone), np.array((0, 0, 1.5))
+    points, irradiance_of = seen_from_above(below(light, FLOOR), width=48, samples=64)
+    towards = points - place
+    distance = np.linalg.norm(towards, axis=-1)
+    angle = np.arccos(-towards[:, 2] / distance)
+    assert (irradiance_of[angle > cone[1] + 0.03] == 0).all()
+    share = np.clip((np.cos(angle) - np.cos(cone[1])) / max(np.cos(cone[0]) - np.cos(cone[1]), 1e-9), 0, 1)
+    expected = 2.0 * 1.5 / distance**3 * share**2 * (3 - 2 * share)  # by smoothstep, as in Blender
+    assert np.abs(irradiance_of - expected).mean() < 0.1 * expected.mean()
+    assert irradiance_of.sum() == pytest.approx(expected.sum(), rel=0.02)
+
+
+def test_a_sun_is_even_in_the_whole_box() -> None:
+    for height in (-0.5, 0.5):
+        moved = [(item.corners - (0, 0, height), item.material[0]) for item in fixture(lamp("directional"))]
+        floor = (part(FLOOR * (1, 1, 0)).corners, material(diffuse=0.5))
+        irradiance_of = seen_from_above(pack(floor, *moved))[1]
+        np.testing.assert_allclose(irradiance_of, 1, rtol=0.05)
 
 
 def parts_of(triangles: SceneTriangles) -> list[Part]:
@@ -117,7 +153,7 @@ def test_usual_is_what_the_examples_have(name: str) -> None:
 
 
 def test_the_estimated_irradiance_is_that_of_the_ray_caster() -> None:
-    light = emitter(lamp("directional", direction=(0.6, 0, -0.8), strength=3.0))
+    [light] = fixture(lamp("directional", direction=(0.6, 0, -0.8), strength=3.0))
     triangles = pack((part().corners, material(diffuse=0.5)), (light.corners, light.material[0]))
     assert irradiance(parts_of(triangles)) == pytest.approx(cast(triangles), rel=0.05)
     assert irradiance([part(), replace(light, faces=light.faces[:, ::-1])]) == 0  # it faces away, and has a dark back
@@ -168,9 +204,22 @@ def test_ordinary_lights_are_left_alone(strength: float) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         parts = with_lights(ImportedScene("a", (part(),), (lamp(strength=strength),)), CAMERA, FILE)
-    np.testing.assert_allclose(parts[1].material, emitter(lamp(strength=strength)).material)
+    np.testing.assert_allclose(parts[1].material, fixture(lamp(strength=strength))[0].material)
 
 
-def test_spots_and_suns_say_that_they_shine_more_widely() -> None:
-    with pytest.warns(UserWarning, match=r"spot and directional lights became triangles, .* \(2\)"):
+def test_the_shades_of_spots_are_announced() -> None:
+    with pytest.warns(UserWarning, match=r"spot lights shine from black shades, which the camera can see \(1\)"):
         with_lights(ImportedScene("a", (part(),), (lamp("spot"), lamp("directional"))), CAMERA, FILE)
+
+
+def test_lights_are_added_inside_a_closed_room() -> None:
+    corners = np.stack(np.meshgrid(*[[-0.5, 0.5]] * 3), -1).reshape(-1, 3)
+    faces = ConvexHull(corners).simplices
+    room = Part("room", corners, faces, plain_material(len(faces)), smooth=False)
+    camera = Camera(position=(0.3, -0.45, 0.1), look_at=(0, 0, 0), fov=60)
+    with pytest.warns(UserWarning, match="three lights are added, in front of what would block them"):
+        lights = with_lights(ImportedScene("a", (room,)), camera, FILE)[1:]
+    inside = part(FLOOR * 0.1)
+    assert all(np.abs(light.vertices).max() < 0.5 for light in lights)
+    alone = quietly(with_lights, ImportedScene("a", (inside,)), camera, FILE)[1:]
+    assert irradiance([inside, *lights]) == pytest.approx(irradiance([inside, *alone]), rel=0.5)

@@ -136,9 +136,9 @@ def test_pictures_are_as_bright_as_in_cycles(server, blender, tmp_path):
     np.testing.assert_allclose(ours.mean(axis=(0, 1)), theirs.mean(axis=(0, 1)), rtol=0.15)
 
 
-@pytest.mark.parametrize("shape", ["RECTANGLE", "DISK"])
-def test_an_area_light_is_as_bright_as_in_cycles(shape, blender, in_process, tmp_path):
-    blender(NOWHERE, "area_in_cycles", shape, tmp_path / "a.exr", tmp_path / "a.glb")
+@pytest.mark.parametrize("kind", ["RECTANGLE", "DISK", "SPOT", "SUN"])
+def test_a_light_is_as_bright_as_in_cycles(kind, blender, in_process, tmp_path):
+    blender(NOWHERE, "light_in_cycles", kind, tmp_path / "a.exr", tmp_path / "a.glb")
     expected = radiance(tmp_path / "a.exr")[..., :3]
     received = ReceivedScene.read((tmp_path / "a.glb").read_bytes())
     camera = Camera(position=(0, 0, 5), look_at=(0, 0, 0), up=(0, 1, 0), fov=45)
@@ -151,6 +151,8 @@ def test_an_area_light_is_as_bright_as_in_cycles(shape, blender, in_process, tmp
     [image] = in_process(render, scene.triangles, scene.c2w, scene.fov, 24, 24, settings)
     lit = image[:12]  # away from the light itself, which Blender's camera sees
     np.testing.assert_allclose(lit.mean(axis=(0, 1)), expected[:12].mean(axis=(0, 1)), rtol=0.05)
+    if kind == "SPOT":  # dark beyond the cone, bright within
+        assert (np.abs(lit - expected[:12]).mean() < 0.15 * expected[:12].mean()).all()
 
 
 def test_a_viewport_shows_the_newest_view_in_full(server, blender, tmp_path):
