@@ -83,7 +83,7 @@ class ShardSplit(Dataset):
 
     @property
     def is_remote(self) -> bool:
-        """Whether any shard is behind a URL."""
+        """True if any shard is behind a URL."""
         return any(isinstance(shard.store, RemoteStore) for shard in self.shards)
 
     def triangles(self, index: int) -> int:

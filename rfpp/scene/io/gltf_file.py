@@ -18,6 +18,7 @@ _KNOWN = {"EXT_texture_webp", "KHR_lights_punctual", "KHR_materials_emissive_str
           "KHR_materials_pbrSpecularGlossiness", "KHR_materials_specular", "KHR_materials_transmission",
           "KHR_materials_unlit", "KHR_materials_variants", "KHR_materials_volume", "KHR_mesh_quantization",
           "KHR_texture_transform"}  # fmt: skip
+_COMPRESSED = {"KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_meshopt_compression"}
 _ENVIRONMENTS = {"EXT_lights_image_based", "KHR_lights_environment", "EXT_lights_ies"}
 _COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
@@ -40,9 +41,9 @@ class GltfFile:
         if _ENVIRONMENTS & {*required, *map(str, self.document.items("extensionsUsed"))}:
             raise SceneError("light of an environment cannot be represented: use lights or emissive surfaces instead")
         if unknown := required - _KNOWN:
-            raise SceneError(
-                f"needs {one_line(min(unknown), 80)}, which cannot be read: export it without this extension"
-            )
+            name = one_line(min(unknown), 80)
+            fix = "decompress it with npx @gltf-transform/cli copy" if name in _COMPRESSED else "export it without"
+            raise SceneError(f"needs {name}, which cannot be read: {fix}")
 
     @classmethod
     def at(cls, path: Path) -> GltfFile:

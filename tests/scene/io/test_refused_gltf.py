@@ -48,7 +48,8 @@ REFUSED = {
     ),
     "environment": (changed(lambda d: d.update(extensionsUsed=["EXT_lights_image_based"])), "light of an environment"),
     "compression": (
-        changed(lambda d: d.update(extensionsRequired=["KHR_draco_mesh_compression"])), "needs KHR_draco_mesh"
+        changed(lambda d: d.update(extensionsRequired=["KHR_draco_mesh_compression"])),
+        "needs KHR_draco_mesh_compression, which cannot be read: decompress it with npx @gltf-transform/cli copy",
     ),
     "compressed primitive": (
         changed(lambda d: d["meshes"][0]["primitives"][0].update(extensions={"KHR_draco_mesh_compression": {}})),
