@@ -115,7 +115,7 @@ def light_in_cycles(kind: str, picture: str, sent: str) -> None:
         light.energy, light.color = 200.0 if kind == "SPOT" else 3.0, (1.0, 0.6, 0.3)
         if kind == "SPOT":
             light.spot_size, light.spot_blend, light.shadow_soft_size = math.radians(50), 0.3, 0.0
-        aimed(bpy.data.objects.new("Lamp", light), (0.3, 0.2, 2.5), (-0.2, 0.5, 0))
+        aimed(bpy.data.objects.new("Lamp", light), (2.2, 0.5, 2.5), (-0.2, 0.8, 0))  # its shade hides no lit place
     else:
         area_light(kind, scene)
     camera(scene, (0, 0, 5), (0, 0, 0))

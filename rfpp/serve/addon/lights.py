@@ -31,7 +31,8 @@ def add_light(glb: Glb, light, name: str, matrix: np.ndarray, warnings: Warnings
     entry = {"type": _KINDS[light.type], "color": (strength / brightest).tolist(), "intensity": brightest}
     if light.type == "SPOT":
         outer = light.spot_size / 2
-        entry["spot"] = {"outerConeAngle": outer, "innerConeAngle": outer * (1 - light.spot_blend)}
+        inner = math.acos(math.cos(outer) + light.spot_blend * (1 - math.cos(outer)))  # as Cycles blends
+        entry["spot"] = {"outerConeAngle": outer, "innerConeAngle": inner}
     glb.node(name, matrix, extensions=glb.light(entry))
 
 
