@@ -15,8 +15,8 @@ from rfpp.raycast.vectors import BLACK, Triple, Vector, added, dot, in_frame, in
 
 #: Lobes wider than this α find emitters by samples of the lights alone.
 WIDE = 0.1
-#: Lights that each of many rays samples where it ends.
-_AT_ONCE = 4
+#: Lights that each of many rays samples where it ends, and that each of many points gathers.
+_AT_ONCE, _OF_POINT = 4, 32
 
 
 @compiled
@@ -134,12 +134,13 @@ def gathered_each(
     diffuse: Float[np.ndarray, "r 3"],
     glossy: Float[np.ndarray, "r 3"],
 ) -> None:
-    """Fill in the direct light at points."""
+    """Fill in the direct light at points; points take turns with many lights."""
+    every = max(len(scene.shining) // _OF_POINT, 1)
     for row in range(start, stop):
         normal, view = triple(points.normal[row]), triple(points.eye[row])
         shines = max(points.specular[row, 0], points.specular[row, 1], points.specular[row, 2]) > 0
         alpha = points.alpha[row] if shines and dot(normal, view) > 0 else -1.0
         point, specular, own_key = triple(points.point[row]), triple(points.specular[row]), key_of(key, row)
-        found = direct_at(scene, point, normal, view, alpha, specular, samples, own_key, True, 1, 0)
+        found = direct_at(scene, point, normal, view, alpha, specular, samples, own_key, True, every, row)
         for c in range(3):
             diffuse[row, c], glossy[row, c] = found[0][c], found[1][c]
