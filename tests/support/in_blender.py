@@ -186,6 +186,8 @@ def furnished():
     for kind, place, watts in (("POINT", (1.0, -1.5, 2.5), 80.0), ("SPOT", (-1.5, -1.0, 2.5), 120.0)):
         light = bpy.data.lights.new(kind.capitalize(), kind)
         light.energy, light.color = watts, (1.0, 0.9, 0.7)
+        if kind == "SPOT":
+            light.spot_blend = 0.0  # Blender's exporter blends by the angle, Cycles and the add-on by its cosine
         aimed(bpy.data.objects.new(kind.capitalize(), light), place, (0, 0, 0.4))
     camera(scene, (0, -4, 2), (0, 0, 0.4))
     return scene

@@ -168,10 +168,10 @@ class _Reader:
         if not (np.abs([strength, position, direction]) < BEYOND).all() or not direction.any():
             raise SceneError(f"'{label}': its light is NaN, infinite or too large: export it again")
         spot = light.entry("spot")
-        cone = spot.get("innerConeAngle", CONE, 0.0), spot.get("outerConeAngle", CONE, math.pi / 4)
-        if cone[0] > cone[1]:
+        inner, outer = spot.get("innerConeAngle", CONE, 0.0), spot.get("outerConeAngle", CONE, math.pi / 4)
+        if inner > outer + 1e-4:  # exporters round
             raise SceneError(f"'{label}': innerConeAngle is larger than outerConeAngle: export it again")
-        yield PunctualLight(label, kind, strength, position, _unit(direction), cone)
+        yield PunctualLight(label, kind, strength, position, _unit(direction), (min(inner, outer), outer))
 
     def warn(self, path: Path, added: int) -> None:
         if self.textures.used:

@@ -32,7 +32,7 @@ def add_light(glb: Glb, light, name: str, matrix: np.ndarray, warnings: Warnings
     if light.type == "SPOT":
         outer = light.spot_size / 2
         inner = math.acos(math.cos(outer) + light.spot_blend * (1 - math.cos(outer)))  # as Cycles blends
-        entry["spot"] = {"outerConeAngle": outer, "innerConeAngle": inner}
+        entry["spot"] = {"outerConeAngle": outer, "innerConeAngle": min(inner, outer)}
     glb.node(name, matrix, extensions=glb.light(entry))
 
 
