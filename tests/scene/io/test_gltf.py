@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from gltf_files import SQUARE, SQUARE_UV, GltfBuilder
 
+from rfpp.errors import SceneError
 from rfpp.scene.camera import camera_to_world
 from rfpp.scene.io.gltf import read_gltf
 from rfpp.scene.io.imported_scene import ImportedScene
@@ -173,6 +174,24 @@ def test_lights_are_in_watts_and_stand_where_their_nodes_do(tmp_path: Path) -> N
     np.testing.assert_allclose(point.position, [1, -3, 2])
     np.testing.assert_allclose(sun.strength, [2, 2, 2])
     np.testing.assert_allclose(sun.direction, [0, 0, -1], atol=1e-12)
+
+
+def test_cones_of_spots_may_be_rounded_and_no_more(tmp_path: Path) -> None:
+    def cone(**angles: float) -> tuple[float, float]:
+        builder = GltfBuilder()
+        builder.node(builder.primitive())
+        lights = [{"type": "spot", "intensity": 683.0, "spot": angles}]
+        builder.document["extensions"] = {"KHR_lights_punctual": {"lights": lights}}
+        builder.node(name="Spot", extensions={"KHR_lights_punctual": {"light": 0}})
+        return read(builder, tmp_path).punctual_lights[0].cone
+
+    assert cone() == (0, math.pi / 4)
+    assert cone(innerConeAngle=0.3, outerConeAngle=0.5) == (0.3, 0.5)
+    assert cone(innerConeAngle=0.50000001, outerConeAngle=0.5) == (0.5, 0.5)
+    with pytest.raises(SceneError, match="'Spot': innerConeAngle is larger than outerConeAngle: export it again"):
+        cone(innerConeAngle=0.6, outerConeAngle=0.5)
+    with pytest.raises(SceneError, match="outerConeAngle"):
+        cone(outerConeAngle=2.0)
 
 
 def test_the_same_scene_with_its_buffer_anywhere(tmp_path: Path) -> None:
