@@ -104,11 +104,11 @@ def _lights(
         return emitters, owner, owner
     middle = np.zeros((len(count), 3))
     np.add.at(middle, owner, triangles.positions[emitters].mean(axis=1))
-    light_of_object = np.zeros(len(count), np.int64)
-    groups = [np.arange(len(count))]
     middle /= count[:, None]
+    groups = [np.arange(len(count))]
     while 2 * len(groups) <= _AT_MOST:
         groups = [half for group in groups for half in _halves(middle, group)]
+    light_of_object = np.zeros(len(count), np.int64)
     for number, group in enumerate(groups):
         light_of_object[group] = number
     order = np.argsort(light_of_object[owner], kind="stable")

@@ -183,7 +183,7 @@ def furnished():
         principled(name, color, Metallic=1.0 if name == "Brass" else 0.0)
         head.materials.append(bpy.data.materials[name])
     head.polygons.foreach_set("material_index", np.arange(len(head.polygons)) % 2)
-    for kind, place, watts in (("POINT", (1.0, -1.5, 2.5), 80.0), ("SPOT", (-1.5, -1.0, 2.5), 120.0)):
+    for kind, place, watts in (("POINT", (1.0, -1.5, 2.5), 80.0), ("SPOT", (-1.5, -1.0, 2.5), 200.0)):
         light = bpy.data.lights.new(kind.capitalize(), kind)
         light.energy, light.color = watts, (1.0, 0.9, 0.7)
         if kind == "SPOT":

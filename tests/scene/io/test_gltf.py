@@ -11,20 +11,15 @@ from gltf_files import SQUARE, SQUARE_UV, GltfBuilder
 from rfpp.errors import SceneError
 from rfpp.scene.camera import camera_to_world
 from rfpp.scene.io.gltf import read_gltf
-from rfpp.scene.io.imported_scene import ImportedScene
 from rfpp.scene.io.loading import load_scene
 from rfpp.scene.packed import pack
 from rfpp.scene.triangles import DIFFUSE
 
 
-def read(builder: GltfBuilder, folder: Path) -> ImportedScene:
-    return read_gltf(builder.write(folder))
-
-
 def material_row(builder_material: dict, folder: Path) -> np.ndarray:
     builder = GltfBuilder()
     builder.node(builder.primitive(material=builder_material))
-    return read(builder, folder).parts[0].material[0]
+    return read_gltf(builder.write(folder)).parts[0].material[0]
 
 
 def test_a_scene_of_everything_together(tmp_path: Path) -> None:
@@ -78,7 +73,7 @@ def test_no_material_is_gray_and_colors_of_vertices_tint(tmp_path: Path) -> None
     attributes = {"COLOR_0": builder.accessor(colors, "u1", normalized=True)}
     builder.node(builder.primitive(attributes=attributes))
     builder.node(builder.primitive())
-    red, gray = read(builder, tmp_path).parts
+    red, gray = read_gltf(builder.write(tmp_path)).parts
     assert red.material[0, 0] > 0.5 > red.material[0, 1] == 0
     assert len(set(gray.material[0, DIFFUSE])) == 1
 
@@ -104,7 +99,7 @@ def test_opaque_blending_is_no_transparency(tmp_path: Path) -> None:
 def test_strips_fans_and_plain_corners_face_the_same_way(mode: int, indices: list, faces: int, tmp_path: Path) -> None:
     builder = GltfBuilder()
     builder.node(builder.primitive(indices=None if indices is None else np.array(indices), mode=mode))
-    (part,) = read(builder, tmp_path).parts
+    (part,) = read_gltf(builder.write(tmp_path)).parts
     a, b, c = np.moveaxis(part.corners, 1, 0)
     assert len(part) == faces
     assert (np.cross(b - a, c - a)[:, 2] > 0).all()
@@ -113,7 +108,7 @@ def test_strips_fans_and_plain_corners_face_the_same_way(mode: int, indices: lis
 def test_mirrored_nodes_still_face_outwards(tmp_path: Path) -> None:
     builder = GltfBuilder()
     builder.node(builder.primitive(), scale=[-1, 1, 1])
-    a, b, c = np.moveaxis(read(builder, tmp_path).parts[0].corners, 1, 0)
+    a, b, c = np.moveaxis(read_gltf(builder.write(tmp_path)).parts[0].corners, 1, 0)
     assert (np.cross(b - a, c - a)[:, 2] > 0).all()
 
 
@@ -123,7 +118,7 @@ def test_points_and_lines_animations_and_normal_maps_are_left_out_with_a_notice(
     builder.node(bumpy, builder.primitive(mode=1), camera=builder.add("cameras", {"type": "orthographic"}))
     builder.document["animations"] = [{}]
     with pytest.warns(UserWarning, match="left out: animations, points and lines, orthographic cameras, normal maps"):
-        assert len(read(builder, tmp_path).parts) == 1
+        assert len(read_gltf(builder.write(tmp_path)).parts) == 1
 
 
 @pytest.mark.parametrize(("normals", "smooth"), [(None, False), ([0, 1, 0], False), ([0, 0.8, 0.6], True)])
@@ -131,7 +126,7 @@ def test_stored_normals_say_whether_a_surface_is_smooth(normals: list | None, sm
     builder = GltfBuilder()
     attributes = {} if normals is None else {"NORMAL": builder.accessor(np.array([normals] * 4))}
     builder.node(builder.primitive(attributes=attributes))
-    assert read(builder, tmp_path).parts[0].smooth is smooth
+    assert read_gltf(builder.write(tmp_path)).parts[0].smooth is smooth
 
 
 def test_a_skin_follows_its_joints(tmp_path: Path) -> None:
@@ -146,7 +141,7 @@ def test_a_skin_follows_its_joints(tmp_path: Path) -> None:
     joints = [builder.node(), builder.node(translation=[0, 9, 0])]
     builder.document["skins"] = [{"joints": joints, "inverseBindMatrices": matrices}]
     builder.node(builder.primitive(attributes=attributes), skin=0, translation=[100, 0, 0])
-    (part,) = read(builder, tmp_path).parts
+    (part,) = read_gltf(builder.write(tmp_path)).parts
     np.testing.assert_allclose(part.vertices[:, 2], 0.75 * 4, atol=1e-6)
     assert np.abs(part.vertices[:, 0]).max() <= 0.5
 
@@ -157,7 +152,7 @@ def test_quantized_positions_are_read(tmp_path: Path) -> None:
     primitive["attributes"]["POSITION"] = builder.accessor(SQUARE[0] * 2 * 127, "i1", normalized=True)
     builder.document["extensionsRequired"] = ["KHR_mesh_quantization"]
     builder.node(primitive, scale=[0.5] * 3)
-    np.testing.assert_allclose(np.abs(read(builder, tmp_path).parts[0].vertices).max(axis=0), [0.5, 0.5, 0])
+    np.testing.assert_allclose(np.abs(read_gltf(builder.write(tmp_path)).parts[0].vertices).max(axis=0), [0.5, 0.5, 0])
 
 
 def test_lights_are_in_watts_and_stand_where_their_nodes_do(tmp_path: Path) -> None:
@@ -169,7 +164,7 @@ def test_lights_are_in_watts_and_stand_where_their_nodes_do(tmp_path: Path) -> N
         turned = [math.sqrt(0.5), 0, 0, -math.sqrt(0.5)]  # -Z, where lights shine, becomes -Y: straight down
         extension = {"KHR_lights_punctual": {"light": index}}
         builder.node(extensions=extension, translation=[1, 2, 3], rotation=turned)
-    point, sun = read(builder, tmp_path).punctual_lights
+    point, sun = read_gltf(builder.write(tmp_path)).punctual_lights
     np.testing.assert_allclose(point.strength, [1, 0.5, 0])
     np.testing.assert_allclose(point.position, [1, -3, 2])
     np.testing.assert_allclose(sun.strength, [2, 2, 2])
@@ -183,7 +178,7 @@ def test_cones_of_spots_may_be_rounded_and_no_more(tmp_path: Path) -> None:
         lights = [{"type": "spot", "intensity": 683.0, "spot": angles}]
         builder.document["extensions"] = {"KHR_lights_punctual": {"lights": lights}}
         builder.node(name="Spot", extensions={"KHR_lights_punctual": {"light": 0}})
-        return read(builder, tmp_path).punctual_lights[0].cone
+        return read_gltf(builder.write(tmp_path)).punctual_lights[0].cone
 
     assert cone() == (0, math.pi / 4)
     assert cone(innerConeAngle=0.3, outerConeAngle=0.5) == (0.3, 0.5)

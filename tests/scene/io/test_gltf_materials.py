@@ -8,18 +8,13 @@ import pytest
 from gltf_files import SQUARE_UV, GltfBuilder
 
 from rfpp.scene.io.gltf import read_gltf
-from rfpp.scene.io.imported_scene import ImportedScene
 from rfpp.scene.triangles import DIFFUSE, EMISSION, ROUGHNESS, SPECULAR
-
-
-def read(builder: GltfBuilder, folder: Path) -> ImportedScene:
-    return read_gltf(builder.write(folder))
 
 
 def material_row(builder_material: dict, folder: Path) -> np.ndarray:
     builder = GltfBuilder()
     builder.node(builder.primitive(material=builder_material))
-    return read(builder, folder).parts[0].material[0]
+    return read_gltf(builder.write(folder)).parts[0].material[0]
 
 
 @pytest.mark.parametrize(
@@ -66,7 +61,7 @@ def test_unsupported_extensions_of_materials_are_left_out_with_a_notice(tmp_path
     names = ("sheen", "clearcoat", "ior", "pbrSpecularGlossiness")
     builder.node(builder.primitive(material={"extensions": {f"KHR_materials_{name}": {} for name in names}}))
     with pytest.warns(UserWarning, match="left out: clearcoat, sheen$"):
-        read(builder, tmp_path)
+        read_gltf(builder.write(tmp_path))
 
 
 def test_textures_of_specular_and_glossiness_vary_over_the_faces(tmp_path: Path) -> None:
@@ -79,7 +74,7 @@ def test_textures_of_specular_and_glossiness_vary_over_the_faces(tmp_path: Path)
     glossy = {"specularGlossinessTexture": shiny, "diffuseTexture": painted, "specularFactor": [0.25] * 3}
     material = {"extensions": {"KHR_materials_pbrSpecularGlossiness": glossy}}
     builder.node(builder.primitive(positions, np.arange(6), material, attributes))
-    (part,) = read(builder, tmp_path).parts
+    (part,) = read_gltf(builder.write(tmp_path)).parts
     np.testing.assert_allclose(part.material[:, DIFFUSE], [[0.75] * 3, [0, 1, 0]], atol=1e-3)
     np.testing.assert_allclose(part.material[:, SPECULAR], [[0.25] * 3, [0] * 3], atol=1e-3)
     np.testing.assert_allclose(part.material[:, ROUGHNESS][:, 0], [0, 0.8], atol=1e-3)
@@ -98,7 +93,7 @@ def test_textures_of_roughness_metal_and_emission_vary_over_the_faces(tmp_path: 
         "emissiveFactor": [2, 2, 2], "emissiveTexture": glow,
     }  # fmt: skip
     builder.node(builder.primitive(positions, np.arange(6), material, {"TEXCOORD_0": coordinates}))
-    (part,) = read(builder, tmp_path).parts
+    (part,) = read_gltf(builder.write(tmp_path)).parts
     np.testing.assert_allclose(part.material[:, ROUGHNESS][:, 0], [0.5, 0.1], atol=1e-3)
     np.testing.assert_allclose(part.material[:, SPECULAR], [[0.04] * 3, [1] * 3], atol=1e-3)
     np.testing.assert_allclose(part.material[:, EMISSION], [[2] * 3, [0] * 3], atol=1e-3)  # faint counts as dark
@@ -112,7 +107,7 @@ def test_texture_transforms_choose_the_region_of_their_example(tmp_path: Path) -
     texture["extensions"] = {"KHR_texture_transform": {"offset": [0, 1], "rotation": math.pi / 2, "scale": [0.5, 0.5]}}
     material = {"pbrMetallicRoughness": {"metallicFactor": 0, "baseColorTexture": texture}}
     builder.node(builder.primitive(material=material, attributes=uv))
-    np.testing.assert_allclose(read(builder, tmp_path).parts[0].material[:, DIFFUSE], 0.96, atol=1e-6)
+    np.testing.assert_allclose(read_gltf(builder.write(tmp_path)).parts[0].material[:, DIFFUSE], 0.96, atol=1e-6)
 
 
 def test_cut_outs_lose_their_transparent_faces(tmp_path: Path) -> None:
@@ -123,6 +118,6 @@ def test_cut_outs_lose_their_transparent_faces(tmp_path: Path) -> None:
     positions = np.arange(18).reshape(6, 3) ** 1.5
     attributes = {"TEXCOORD_0": builder.accessor(uv)}
     builder.node(builder.primitive(positions, np.arange(6), material, attributes))
-    (part,) = read(builder, tmp_path).parts
+    (part,) = read_gltf(builder.write(tmp_path)).parts
     assert len(part) == 1
     np.testing.assert_allclose(part.vertices[:, 0], positions[:3, 0], rtol=1e-6)
