@@ -22,12 +22,14 @@ import lightning as L
 import torch
 from hydra.utils import instantiate
 from lightning.pytorch.utilities import rank_zero_only
+from lightning.pytorch.utilities.exceptions import MisconfigurationException
 from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
 
 from rfpp.checkpoint.loading import CheckpointInfo, load_initial_weights
 from rfpp.checkpoint.network_building import shapes_of
 from rfpp.commands import entry_point, write_config
+from rfpp.errors import UserError
 from rfpp.metrics.image import ImageMetrics
 from rfpp.training.blocks import compile_blocks
 from rfpp.training.callbacks.divergence import DivergenceError
@@ -127,6 +129,8 @@ def main(cfg: DictConfig) -> Path | None:
         if isinstance(stop, StoppedError):
             exit_early(stop, run_dir)
         raise
+    except MisconfigurationException as error:
+        raise UserError(" ".join(str(error).split())) from error
     best = Path(trainer.checkpoint_callback.best_model_path or run_dir / "checkpoints" / "last.ckpt")  # not validated
     if is_first:
         console.print(end_summary(logger, best, cfg.data.root, cfg.callbacks.best.monitor))

@@ -26,7 +26,7 @@ from rfpp.errors import UserError
 from rfpp.extras import missing_extra
 from rfpp.files import write_atomically
 from rfpp.folders import carried
-from rfpp.overrides import defaults_of, require_valid, suggestions
+from rfpp.overrides import defaults_of, names_setting, require_valid, suggestions
 
 Result = TypeVar("Result")
 
@@ -71,13 +71,13 @@ def entry_point(
             try:
                 return task(cfg)
             except UserError as error:
-                _fail(error)
+                _fail(error, _status(error, given))
             except InstantiationException as error:  # Hydra's wrapping of a constructor's exception
                 if isinstance(reason := missing_extra(error) or error.__cause__, UserError):
-                    _fail(reason)
+                    _fail(reason, _status(reason, given))
                 if not isinstance(reason, _INVALID_VALUE):
                     raise
-                _fail(UserError(f"{str(error).rpartition('full_key: ')[2]}: {reason}"))
+                _fail(UserError(f"{str(error).rpartition('full_key: ')[2]}: {reason}"), USAGE)
             except OSError as error:  # raised by a library while writing
                 if error.errno not in NO_SPACE:
                     raise
@@ -138,6 +138,10 @@ def with_scenes(arguments: Sequence[str]) -> list[str]:
     quoted = ["'" + re.sub(r"(\\*)'", r"\1\1\'", file) + "'" for file in files]
     scene = [f"scene={quoted[0] if len(files) == 1 else '[' + ','.join(quoted) + ']'}"] if files else []
     return [given for given in arguments if given not in files] + scene
+
+
+def _status(error: UserError, given: Sequence[str]) -> int:
+    return USAGE if names_setting(str(error), given) else 1
 
 
 def _fail(error: UserError, status: int = 1) -> NoReturn:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from difflib import get_close_matches
 from pathlib import Path
@@ -11,6 +12,7 @@ from typing import Any
 import hydra
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
+from rfpp.declared_types import declared_problem, is_argument
 from rfpp.errors import UserError
 
 #: Numbers in whose place a list may be given.
@@ -20,9 +22,12 @@ _NULLABLE = (
     "resolution",
     "animation",
     "callbacks.checkpoints.every_n_minutes",
+    "checkpoint",
     "callbacks.divergence.patience",
     "reference.token_bounces",
 )
+#: Values that are replaced before a constructor receives them.
+_REPLACED = {"trainer.precision": "auto"}
 #: Settings of version 0.1 whose new names are not similar.
 _RENAMED = {
     "callbacks.life": "callbacks.ablation",
@@ -43,19 +48,34 @@ def defaults_of(config_name: str, config_dir: Path, overrides: Sequence[str]) ->
 def require_valid(cfg: DictConfig, defaults: DictConfig, overrides: Sequence[str]) -> None:
     """Raise UserError for a value that has another type than its default, is not finite, null, or negative.
 
-    A number is negative against expectation if its default is not. Values without a default are not checked.
+    A number is negative against expectation if its default is not. A value that is an argument of a constructor is also
+    checked against the constructor's annotations; others without a default are not checked.
     """
     for key in map(_key, overrides):
-        _require(key, *(OmegaConf.select(each, key, throw_on_resolution_failure=False) for each in (defaults, cfg)))
+        _require(cfg, defaults, key)
 
 
-def _require(key: str, before: Any, value: Any) -> None:
+def _require(cfg: DictConfig, defaults: DictConfig, key: str) -> None:
+    before, value = (OmegaConf.select(each, key, throw_on_resolution_failure=False) for each in (defaults, cfg))
     if isinstance(before, DictConfig) and isinstance(value, DictConfig):
         for name in before.keys() & value.keys():
-            _require(f"{key}.{name}", *(OmegaConf.select(each, str(name)) for each in (before, value)))
-    elif (expected := _expected(before, value)) and not _is_exception(key, value):
-        shown = "null" if value is None else value
+            _require(cfg, defaults, f"{key}.{name}")
+        return
+    shown = "null" if value is None else value
+    expected = _expected(before, value)
+    if isinstance(before, str) and not isinstance(value, str) and not is_argument(cfg, key):
+        expected = "text, quoted if it looks like a number,"
+    if expected and not _is_exception(key, value):
         raise UserError(f"{key}={shown}: {expected} was expected; the default is {before}")
+    if value != _REPLACED.get(key) and (problem := declared_problem(cfg, key, before)):
+        raise UserError(f"{key}={shown}: {problem}")
+
+
+def names_setting(message: str, overrides: Sequence[str]) -> bool:
+    """Return whether an error begins with a setting of the command line, a part of one, or a group that has one."""
+    named = re.match(r"[\w.]*", message)[0]
+    keys = map(_key, overrides)
+    return any(named == key or named.startswith(f"{key}.") or key.startswith(f"{named}.") for key in keys)
 
 
 def suggestions(key: str, defaults: DictConfig) -> list[str]:

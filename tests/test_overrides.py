@@ -1,5 +1,6 @@
 """Nonsense for any setting of any command is refused in one line, and misspelled keys name what was meant."""
 
+import copy
 import subprocess
 import sys
 from pathlib import Path
@@ -21,6 +22,11 @@ NONSENSE = {bool: ["maybe", 3, "null"], int: ["many", -1, 0.5, "nan", "null", "[
 WIDER = {"callbacks.checkpoints.every_n_minutes": ["null"], "callbacks.divergence.patience": ["null"],
          "reference.token_bounces": ["null"], "resolution": ["null", "[1]"],
          "trainer.devices": ["null", "[1]"]}  # fmt: skip
+
+#: Settings without a default whose type is not known before the command, or a group, has read them.
+CHECKED_BY_THE_COMMAND = {"triangles", "up", "cameras", "camera.position", "camera.look_at", "camera.fov", "transports",
+                          "benchmark.training.loss", "benchmark.training.optimizer",
+                          "datamodule.augmentation.color"}  # fmt: skip
 
 
 def leaves(settings, prefix=""):
@@ -44,6 +50,29 @@ def test_nonsense_is_refused_for_every_leaf(command):
                 require_valid(given, defaults, [key])
             tried += 1
     assert tried >= 10
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_mapping_in_place_of_text_or_of_an_unset_value_is_refused(command):
+    folder, chosen = CONFIG_DIR / Path(command).parent, [group for group in [COMMANDS[command]] if group]
+    with initialize_config_dir(str(folder), version_base="1.3"):
+        defaults = defaults_of(Path(command).name, folder, [*chosen, "output=elsewhere"])
+    given, messages = copy.deepcopy(defaults), {}
+    for key, value in leaves(OmegaConf.to_container(defaults, resolve=False)):
+        if isinstance(value, str | None) and not key.endswith("_target_"):
+            OmegaConf.update(given, key, {"a": 1}, merge=False)
+            messages[key] = _message(given, defaults, key)
+            OmegaConf.update(given, key, value, merge=False)
+    assert {key for key in messages if not messages[key]} <= CHECKED_BY_THE_COMMAND
+    assert all(message.startswith(f"{key}={{'a': 1}}: ") for key, message in messages.items() if message)
+
+
+def _message(given, defaults, key):
+    try:
+        require_valid(given, defaults, [key])
+    except UserError as error:
+        return str(error)
+    return ""
 
 
 @pytest.mark.parametrize(

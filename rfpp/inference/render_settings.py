@@ -11,6 +11,7 @@ import torch
 from pydantic import BeforeValidator, Field, field_validator
 
 from rfpp.errors import UserError
+from rfpp.ranges import Positive
 from rfpp.raycast.first_hit import CHANNELS
 from rfpp.scene.io.backdrop import Backdrop
 from rfpp.scene.io.loading import load_scene
@@ -37,7 +38,6 @@ def _placed(camera: Mapping[str, Any]) -> dict[str, Any] | None:
     return {"look_at": (0.0, 0.0, 0.0), "fov": 40.0, **given} if given else None
 
 
-Positive = Annotated[int, Field(ge=1)]
 Index = Annotated[int, Field(ge=0)]
 Parts = Literal["together", "separate"]
 

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, fields
 
 from rfpp.errors import UserError
+from rfpp.ranges import Positive, Share
 from rfpp.raycast.direct_light import direct_radiance
 from rfpp.scene.camera import camera_to_world
 from rfpp.scene.spec import Camera
@@ -20,17 +21,17 @@ EMPTY, UNLIT = "empty_views", "unlit_views"
 class Acceptance:
     """Criteria for views, checked on a small G-buffer with shadowed direct light."""
 
-    resolution: int
-    light_samples: int
-    min_coverage: float
-    min_lit: float
+    resolution: Positive
+    light_samples: Positive
+    min_coverage: Share
+    min_lit: Share
     min_radiance: float
-    camera_attempts: int
-    scene_attempts: int
+    camera_attempts: Positive
+    scene_attempts: Positive
 
     def __post_init__(self) -> None:
         for field in fields(self):
-            value, least = getattr(self, field.name), int(field.type == "int")
+            value, least = getattr(self, field.name), int(not field.name.startswith("min_"))
             if field.name in ("min_coverage", "min_lit") and not 0 <= value <= 1:
                 raise UserError(f"data.acceptance.{field.name} is {value}: use 0 to 1")
             if value < least:

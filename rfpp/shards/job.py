@@ -184,7 +184,9 @@ class SceneJob:
     def _cameras(self, task: SceneTask, split: str, attempt: int, camera_attempt: int) -> tuple[Camera, ...]:
         cameras = self.family.sample_cameras(*self._rngs(task, split, attempt, camera_attempt))
         if len(cameras) != self.data.views:
-            raise UserError(f"the scene family draws {len(cameras)} cameras, data.views is {self.data.views}")
+            raise UserError(
+                f"family.cameras.count={len(cameras)}: data.views is {self.data.views}: give data.views alone"
+            )
         return cameras
 
     def _rngs(

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 from rfpp.errors import ShardError
+from rfpp.ranges import Positive
 from rfpp.shards.cache import ShardCache
 from rfpp.shards.dataset import ShardSplit
 from rfpp.shards.manifest import Manifest
@@ -25,7 +26,7 @@ class DataSource:
 
     root: Root | Sequence[Root]
     cache: ShardCache | None
-    training_scenes: int | None
+    training_scenes: Positive | None
     validation_scenes: int
     skip_corrupt: bool
 

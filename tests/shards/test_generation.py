@@ -254,5 +254,5 @@ def test_bad_acceptance_is_named(change, message):
 
 
 def test_the_number_of_views_must_match_the_family(tmp_path):
-    with pytest.raises(UserError, match=r"draws 3 cameras, data\.views is 2"):
+    with pytest.raises(UserError, match=r"^family\.cameras\.count=3: data\.views is 2"):
         make(tmp_path, BoxFamily(views=3))

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rfpp.ranges import Positive
 from rfpp.scene.sampling.interval import HasIntervals, Interval, uniform
 from rfpp.scene.sampling.open_region import OpenRegion
 from rfpp.scene.spec import Camera
@@ -23,7 +24,7 @@ class CameraSampler(HasIntervals):
         clearance: minimum distance of a camera to the plane of every panel.
     """
 
-    count: int
+    count: Positive
     distance: Interval
     target_jitter: Interval
     up_jitter: Interval

@@ -4,13 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import fields
+from typing import Annotated
 
 import numpy as np
+from pydantic import AfterValidator
 
 from rfpp.errors import SceneError
 
+
+def _ordered(interval: Sequence[float | int]) -> tuple[float | int, ...]:
+    if len(interval) != 2 or not interval[0] <= interval[1]:
+        raise ValueError(f"{list(interval)} is not an interval: write [low, high] with low <= high")
+    return tuple(interval)
+
+
 #: `[low, high]` with low <= high; samplers store it as a tuple.
-Interval = Sequence[float | int]
+Interval = Annotated[Sequence[float | int], AfterValidator(_ordered)]
 
 
 def uniform(rng: np.random.Generator, interval: Interval, size: int | tuple[int, ...] | None = None):
@@ -36,8 +45,8 @@ class HasIntervals:
         for field in fields(self):  # type: ignore[arg-type]
             if field.type != "Interval":
                 continue
-            value = tuple(getattr(self, field.name))
-            if len(value) != 2 or not value[0] <= value[1]:
-                name = f"{type(self).__name__}.{field.name}"
-                raise SceneError(f"{name}: {list(value)} is not an interval: write [low, high] with low <= high")
+            try:
+                value = _ordered(getattr(self, field.name))
+            except ValueError as error:
+                raise SceneError(f"{type(self).__name__}.{field.name}: {error}") from None
             object.__setattr__(self, field.name, value)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rfpp.ranges import Share
 from rfpp.scene.sampling.interval import HasIntervals, Interval, uniform
 from rfpp.scene.spec import Material
 
@@ -26,8 +27,8 @@ class MaterialSampler(HasIntervals):
     specular_share: Interval
     diffuse_color: Interval
     roughness: Interval
-    roughness_shift: float
-    smooth_shading: float
+    roughness_shift: Share
+    smooth_shading: Share
 
     def sample(self, rng: np.random.Generator) -> Material:
         """Draw a non-emissive material that conserves energy."""

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from rfpp.errors import SceneError
+from rfpp.ranges import Positive, Share
 from rfpp.scene.mesh import Mesh
 from rfpp.scene.sampling.interval import HasIntervals, Interval, uniform
 from rfpp.scene.sampling.open_region import OpenRegion
@@ -36,11 +37,11 @@ class Placement(HasIntervals):
 
     sizes: SizeSampler
     rotation: Interval
-    floating: float
+    floating: Share
     gap: float
     margin: float
-    attempts: int
-    shrink: float
+    attempts: Positive
+    shrink: Share
 
     def sample(self, rng: np.random.Generator, meshes: Sequence[Mesh], open_region: OpenRegion) -> list[Transform]:
         """Return one transform per normalized mesh, in order.
@@ -113,7 +114,7 @@ class Placement(HasIntervals):
 class UprightPlacement(Placement):
     """Placement of furniture: most objects rotate only about the vertical axis."""
 
-    upright: float
+    upright: Share
 
     def _rotation(self, rng: np.random.Generator) -> Float[np.ndarray, 3]:
         rotation = super()._rotation(rng)

@@ -12,6 +12,7 @@ import psutil
 import torch
 
 from rfpp.batch import RaggedBatch
+from rfpp.ranges import Positive
 from rfpp.training.flops import published_peak, training_flops
 
 #: Steps between two batches whose floating-point operations are counted, which takes a forward pass.
@@ -32,7 +33,7 @@ class StepStatistics(L.Callback):
     `data/skipped`: scenes skipped since the run was started or resumed, over all devices.
     """
 
-    def __init__(self, every_n_steps: int):
+    def __init__(self, every_n_steps: Positive):
         self.every_n_steps = every_n_steps
 
     def on_train_start(self, trainer: L.Trainer, module: L.LightningModule) -> None:

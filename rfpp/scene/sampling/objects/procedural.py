@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from rfpp.errors import SceneError
+from rfpp.ranges import Positive, Share
 from rfpp.scene.mesh import Mesh, normalized
 from rfpp.scene.sampling.objects.constructed import bevelled, carved, crystal, primitive
 from rfpp.scene.sampling.objects.deformation import deformed
@@ -47,10 +48,10 @@ class ProceduralObjects:
     """`pool` closed solids, the last of which are held out for test scenes."""
 
     kinds: Sequence[str]
-    pool: int
-    held_out: float
-    stretched: float
-    deformed: float
+    pool: Positive
+    held_out: Share
+    stretched: Share
+    deformed: Share
 
     def __post_init__(self) -> None:
         if not self.kinds:

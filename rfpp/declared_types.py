@@ -1,0 +1,86 @@
+"""Check settings against the annotations of the constructors that receive them, or against those in this module."""
+
+from __future__ import annotations
+
+import inspect
+import math
+from dataclasses import is_dataclass
+from typing import Any, get_type_hints
+
+from hydra.utils import get_object
+from omegaconf import DictConfig, OmegaConf
+from pydantic import ConfigDict, PydanticUserError, TypeAdapter, ValidationError
+
+from rfpp.ranges import Positive
+
+#: Types of settings that are no argument of a constructor, or one of Lightning's with a wider annotation.
+_TYPES = {
+    "against": str | None,
+    "checkpoint": str | list[str] | None,
+    "device": str | None,
+    "h5.folder": str | None,
+    "initial_weights": str | None,
+    "mask": str | list[str] | None,
+    "output": str | None,
+    "refining.initial": str | None,
+    "refining.scenes": Positive | None,
+    "registry.tracking_uri": str | None,
+    "sample": str | None,
+    "scene": str | list[str],
+    "slice.count": Positive,
+    "target": str | list[str],
+    "trainer.log_every_n_steps": Positive,
+    "trainer.num_nodes": Positive,
+    "trainer.val_check_interval": Positive,
+}
+
+
+def declared_problem(cfg: DictConfig, key: str, before: Any) -> str | None:
+    """Return why `key` cannot have its value in `cfg`; None if it can, or if no type is declared for it.
+
+    Args:
+        cfg: Composed configuration; a node with `_target_` names a constructor, and its other keys are arguments.
+        key: Dotted name of a setting.
+        before: Its default; infinity and NaN are refused unless the default is one of them.
+    """
+    declared, value = _TYPES.get(key, _annotation(cfg, key)), OmegaConf.select(cfg, key)
+    if declared is None or (isinstance(value, DictConfig) and "_target_" in value):
+        return None
+    if OmegaConf.is_config(value):
+        value = OmegaConf.to_container(value)
+    infinite = isinstance(before, float) and not math.isfinite(before)
+    settings = ConfigDict(arbitrary_types_allowed=True, allow_inf_nan=infinite)
+    try:
+        taken = TypeAdapter(declared, config=settings).validate_python(value)
+    except ValidationError as error:
+        problems = error.errors(include_url=False)
+        if all(problem["type"] == "literal_error" for problem in problems):
+            choices = ", ".join(problem["ctx"]["expected"] for problem in problems)
+            return f"choose from {choices.replace(' or ', ', ')}"
+        message = problems[0]["msg"].removeprefix("Value error, ")
+        return f"{message[0].lower()}{message[1:]}"
+    except (PydanticUserError, NameError):  # no type that pydantic knows
+        return None
+    if isinstance(taken, int | float) and type(taken) is not type(value) and isinstance(value, bool | str):
+        return "a number was expected"
+    return None
+
+
+def _annotation(cfg: DictConfig, key: str) -> Any:
+    if not is_argument(cfg, key):
+        return None
+    parent, _, name = key.rpartition(".")
+    try:
+        constructor = get_object(OmegaConf.select(cfg, parent)["_target_"])
+        has_fields = is_dataclass(constructor) or hasattr(constructor, "model_fields")
+        annotated = constructor.__init__ if inspect.isclass(constructor) and not has_fields else constructor
+        return get_type_hints(annotated, include_extras=True).get(name)
+    except (ImportError, NameError, TypeError):  # instantiation reports what is wrong with it
+        return None
+
+
+def is_argument(cfg: DictConfig, key: str) -> bool:
+    """Return whether the setting `key` of `cfg` is an argument of a constructor."""
+    parent = key.rpartition(".")[0]
+    node = OmegaConf.select(cfg, parent) if parent else None
+    return isinstance(node, DictConfig) and isinstance(node.get("_target_"), str)

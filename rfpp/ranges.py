@@ -1,0 +1,8 @@
+"""Ranges of numbers, as annotations that are checked: of settings and of what files hold."""
+
+from typing import Annotated
+
+from pydantic import Field
+
+Positive = Annotated[int, Field(ge=1)]
+Share = Annotated[float, Field(ge=0, le=1)]
