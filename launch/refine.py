@@ -28,6 +28,7 @@ from rfpp.shards.dataset import ShardSplit
 from rfpp.training.callbacks.progress import TrainingProgress
 from rfpp.training.plan import choose_precision
 from rfpp.training.refining import AugmentedViews, RefinementModule, render_views
+from rfpp.training.run import build_trainer
 from rfpp.training.tracking import code_version
 
 
@@ -62,9 +63,8 @@ def main(cfg: DictConfig) -> Path:
     parts = (instantiate(plan[name], _convert_="all") for name in ("loss", "optimizer", "schedule"))
     module = RefinementModule(radiosity.refinement, *parts)
     logger = instantiate(cfg.logger)
-    tags = {"code_version": info.commit or "unknown", "data_manifest": info.data_manifest}
-    logger.describe(config, write_config(config, Path(cfg.run_dir)), train.manifest, tags)
-    trainer = instantiate(cfg.trainer, _partial_=True)(
+    trainer = build_trainer(
+        cfg.trainer,
         precision=choose_precision(cfg.trainer.precision, cfg.trainer.accelerator, None),
         max_steps=plan.steps,
         val_check_interval=min(plan.validate_every_n_steps, plan.steps),
@@ -72,6 +72,8 @@ def main(cfg: DictConfig) -> Path:
         logger=logger,
         callbacks=[TrainingProgress()],
     )
+    tags = {"code_version": info.commit or "unknown", "data_manifest": info.data_manifest}
+    logger.describe(config, write_config(config, Path(cfg.run_dir)), train.manifest, tags)
     draws = RandomSampler(views[0], num_samples=plan.steps * plan.images_per_step)
     batches = DataLoader(AugmentedViews(views[0], cfg.seed), plan.images_per_step, sampler=draws)
     trainer.fit(module.train(), batches, DataLoader(views[1], plan.images_per_step))

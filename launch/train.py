@@ -38,7 +38,7 @@ from rfpp.training.checkpoint_files import AUTO, checkpoint_to_resume, point_at
 from rfpp.training.module import RenderingModule
 from rfpp.training.plan import PLAN_KEY, choose_acceleration, choose_precision, plan_training, require_devices
 from rfpp.training.rollback import continues_job, roll_back
-from rfpp.training.run import locked, trainer_plugins
+from rfpp.training.run import build_trainer, locked, trainer_plugins
 from rfpp.training.steps import CapturedStep, PlainStep
 from rfpp.training.stopping import StoppedError, exit_early
 from rfpp.training.summary import end_summary, start_summary
@@ -82,13 +82,23 @@ def main(cfg: DictConfig) -> Path | None:
     reads = {"gbuffer_channels": network.gbuffer_channels, "padded": acceleration != "none"}
     datamodule = instantiate(cfg.datamodule, **reads, _convert_="all")
     plan = plan_training(cfg.trainer, precision, datamodule.batching.accumulation)
+    parts = [instantiate(cfg[name]) for name in ("optimizer", "schedule")]
+    step = PlainStep() if acceleration == "none" else CapturedStep()
+    loss = instantiate(cfg.loss)
+    trainer = build_trainer(
+        cfg.trainer,
+        logger=logger,
+        callbacks=[callback for callback in instantiate(cfg.callbacks).values() if callback],
+        plugins=trainer_plugins(),
+        **plan.trainer_arguments,
+    )
     config = OmegaConf.to_container(cfg, resolve=True) | {PLAN_KEY: asdict(plan)}
     is_first = rank_zero_only.rank == 0
     console = Console(highlight=False, soft_wrap=True)
     try:
         with locked(run_dir) if is_first else nullcontext():
             aside = roll_back(run_dir, resumed) if is_first and choice != AUTO else None
-            info = CheckpointInfo(
+            info = CheckpointInfo(  # the first access to `run_id` starts the MLflow run
                 model=model,
                 resolution=(cfg.data.resolution, cfg.data.resolution),
                 data_manifest=data.hash,
@@ -100,15 +110,7 @@ def main(cfg: DictConfig) -> Path | None:
                 mlflow_run_id=logger.run_id,
                 mlflow_tracking_uri=logger.tracking_uri,
             )
-            parts = (instantiate(cfg[name]) for name in ("optimizer", "schedule"))
-            step = PlainStep() if acceleration == "none" else CapturedStep()
-            module = RenderingModule(network, instantiate(cfg.loss), ImageMetrics(lpips=None), *parts, info, step)
-            trainer = instantiate(cfg.trainer, _partial_=True)(  # Hydra would treat the logger as a configuration
-                logger=logger,
-                callbacks=[callback for callback in instantiate(cfg.callbacks).values() if callback],
-                plugins=trainer_plugins(),
-                **plan.trainer_arguments,
-            )
+            module = RenderingModule(network, loss, ImageMetrics(lpips=None), *parts, info, step)
             if is_first:
                 summary = start_summary(cfg, plan, network, datamodule, logger, trainer.strategy.root_device)
                 console.print(summary)

@@ -1,4 +1,4 @@
-"""Folder, lock and Trainer plugins of a training run."""
+"""Trainer, folder and lock of a training run."""
 
 from __future__ import annotations
 
@@ -7,8 +7,12 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import lightning as L
 from filelock import FileLock, Timeout
+from hydra.utils import instantiate
 from lightning.pytorch.plugins.environments import SLURMEnvironment
+from lightning.pytorch.utilities.exceptions import MisconfigurationException
+from omegaconf import DictConfig
 from torch import nn
 
 from rfpp.errors import UserError
@@ -26,6 +30,19 @@ def trainer_plugins() -> list[Any]:
     """
     slurm = [SLURMEnvironment(auto_requeue=False)] if SLURMEnvironment.detect() else []
     return [BackgroundCheckpointIO(), *slurm]
+
+
+def build_trainer(settings: DictConfig, **arguments: Any) -> L.Trainer:
+    """Build the Trainer of conf/trainer with further arguments.
+
+    Raises:
+        UserError: If Lightning refuses a setting.
+    """
+    build = instantiate(settings, _partial_=True)  # Hydra would treat the logger as a configuration
+    try:
+        return build(**arguments)
+    except (MisconfigurationException, TypeError, ValueError) as error:
+        raise UserError(f"trainer: {' '.join(str(error).split())}") from error
 
 
 @contextmanager

@@ -25,7 +25,9 @@ class StillTrainer(L.Trainer):
     callback_metrics: Mapping[str, torch.Tensor] = {}
     loggers: Sequence[Logger] = ()
     checkpoint_callback = None
-    strategy = SimpleNamespace(root_device=torch.device("cpu"), reduce=lambda values, reduce_op: values)
+    strategy = SimpleNamespace(
+        root_device=torch.device("cpu"), reduce=lambda values, reduce_op: values, all_gather=lambda values: values
+    )
     precision_plugin = SimpleNamespace(forward_context=nullcontext)
 
     def __init__(self, **attributes) -> None:

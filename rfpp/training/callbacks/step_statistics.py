@@ -26,8 +26,9 @@ class StepStatistics(L.Callback):
     `train/` and `consistency/`: loss terms, means over the scenes of the last step, however these are divided among
     devices and batches. The others are means since they were last logged, without validation:
     `throughput/`: steps, scenes, images, triangles and tokens (scene tokens and ray bundles) per second,
-    `data_wait_fraction` of the device that waits longest and, on GPUs whose peak rate is listed, `flop_utilization`
-    (MFU): operations of the network's forward and backward passes as a fraction of that rate, without LPIPS.
+    `data_wait_fraction` of the device that waits longest, `data_wait_rank`, its rank, and, on GPUs whose peak rate is
+    listed, `flop_utilization` (MFU): operations of the network's forward and backward passes as a fraction of that
+    rate, without LPIPS.
     `memory/`: GiB. On a GPU `allocated`, and `peak` in the window, of PyTorch's allocator; else `resident` memory of
     the process without its loaders; of the device that uses most.
     `data/skipped`: scenes skipped since the run was started or resumed, over all devices.
@@ -90,11 +91,13 @@ class StepStatistics(L.Callback):
         highest = {"throughput/data_wait_fraction": self._waited / elapsed} | _memory(device)
         counts = [*self._counts.values(), self._skipped]
         *counts, skipped = trainer.strategy.reduce(torch.tensor(counts, device=device), reduce_op="sum").tolist()
-        most = trainer.strategy.reduce(torch.tensor([*highest.values()], device=device), reduce_op="max").tolist()
+        gathered = trainer.strategy.all_gather(torch.tensor([*highest.values()], device=device))
+        most, ranks = torch.atleast_2d(gathered).max(0)
         values = {
             "throughput/steps_per_s": self._batches / trainer.accumulate_grad_batches / elapsed,
             **{f"throughput/{name}_per_s": n / elapsed for name, n in zip(self._counts, counts, strict=True)},
-            **dict(zip(highest, most, strict=True)),
+            **dict(zip(highest, most.tolist(), strict=True)),
+            "throughput/data_wait_rank": float(ranks[0]),
             "data/skipped": skipped,
         }
         if self._peak_rate:

@@ -56,19 +56,22 @@ def test_rates_of_a_window_exclude_the_time_of_counting_operations(clock):
     assert values == pytest.approx({
         "throughput/steps_per_s": 0.4, "throughput/scenes_per_s": 0.8, "throughput/images_per_s": 1.6,
         "throughput/triangles_per_s": 3.6, "throughput/tokens_per_s": (10 + 4 * 4) * 0.4,
-        "throughput/data_wait_fraction": 0.2, "throughput/flop_utilization": 80 * 0.4 / 1000, "data/skipped": 0,
-        "train/loss": 0.3,
+        "throughput/data_wait_fraction": 0.2, "throughput/data_wait_rank": 0.0,
+        "throughput/flop_utilization": 80 * 0.4 / 1000, "data/skipped": 0, "train/loss": 0.3,
     })  # fmt: skip
 
 
-def test_accumulated_batches_are_one_step_and_devices_add_up(clock):
+def test_accumulated_batches_are_one_step_and_devices_add_up_or_the_slowest_counts(clock):
     added = SimpleNamespace(
-        root_device=torch.device("cpu"), reduce=lambda x, reduce_op: x * (3 if reduce_op == "sum" else 1)
+        root_device=torch.device("cpu"),
+        reduce=lambda x, reduce_op: 3 * x,
+        all_gather=lambda x: torch.stack([x, 4 * x, 2 * x]),
     )
     trainer = trainer_with(accumulate_grad_batches=2, world_size=3, strategy=added)
     values = train(clock, StepStatistics(every_n_steps=2), trainer, 4)
     assert values["train/loss"] == pytest.approx((0.2 + 0.3) / 2)
-    assert values["throughput/data_wait_fraction"] == pytest.approx(0.2)
+    assert values["throughput/data_wait_fraction"] == pytest.approx(4 * 0.2)
+    assert values["throughput/data_wait_rank"] == 1
     assert values["throughput/steps_per_s"] == pytest.approx(0.2)
     assert values["throughput/scenes_per_s"] == pytest.approx(3 * 0.8)
 
