@@ -22,6 +22,7 @@ from torch.nn.parallel import DistributedDataParallel
 from rfpp.batch import RaggedBatch, SceneViews
 from rfpp.benchmark.case import noisy_views
 from rfpp.losses.rendering import RenderingLoss
+from rfpp.model.layers.matrix_precision import matrix_dtype
 from rfpp.model.renderformer_pp import RenderFormerPP
 from rfpp.scene.packed import pack
 from rfpp.shards.job import SceneSource
@@ -88,6 +89,12 @@ class Timings:
     together: dict[str, float]
 
 
+def as_trained() -> torch.autocast:
+    """Return a context with the precision of `trainer.precision=auto` on this machine's CPU."""
+    dtype = matrix_dtype("auto", torch.device("cpu"))
+    return torch.autocast("cpu", dtype, enabled=dtype != torch.float32)
+
+
 def time_ranks(
     training: TrainingCase,
     scenes: Sequence[SceneViews],
@@ -141,7 +148,7 @@ def _rank(
 
     def train(module: nn.Module, packed: Sequence[RaggedBatch]) -> None:
         for batch in packed:
-            with torch.autocast("cpu", torch.bfloat16):
+            with as_trained():
                 rendering = module(batch)
             states, segments = rendering.transport_states, rendering.token_segments
             loss(rendering.log_radiance, states, batch.image, segments)["loss"].backward()

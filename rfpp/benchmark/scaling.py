@@ -7,12 +7,11 @@ from dataclasses import replace
 from itertools import product
 
 import numpy as np
-import torch
 from scipy.optimize import nnls
 
 from rfpp.batch import RaggedBatch, SceneViews
 from rfpp.benchmark.csv_rows import Row
-from rfpp.benchmark.ranks import Timings, TrainingCase, time_ranks
+from rfpp.benchmark.ranks import Timings, TrainingCase, as_trained, time_ranks
 from rfpp.benchmark.step_time import Cluster, Work, step_time
 from rfpp.training.batching import Partition
 from rfpp.training.flops import training_flops
@@ -59,7 +58,7 @@ def _work(training: TrainingCase, scenes: Sequence[SceneViews], partition: Parti
     network = training.network()
     triangles = np.array([len(scene.triangles) for scene in scenes])
     counted = np.argsort(triangles)[np.linspace(0, len(scenes) - 1, COUNTED).astype(int)]
-    with torch.autocast("cpu", torch.bfloat16):
+    with as_trained():
         flops = [training_flops(network, RaggedBatch.pack([scenes[i]])) for i in counted]
     line = np.polynomial.Polynomial.fit(triangles[counted], flops, 1)
     size = float(sum(p.numel() * p.element_size() for p in network.parameters()))
