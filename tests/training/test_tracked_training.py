@@ -55,6 +55,13 @@ def test_every_step_is_logged(tracked):
     assert run.data.params["plan.precision"] in ("32-true", "bf16-mixed")
 
 
+def test_parameters_leave_out_what_differs_between_any_two_runs(tracked):
+    folder, _, _, run = tracked
+    assert {"seed", "optimizer.lr", "data.root"} <= run.data.params.keys()
+    own = (f"{folder}/run", run.info.run_name)
+    assert not [name for name, value in run.data.params.items() if any(each in value for each in own)]
+
+
 def test_every_validation_is_scored_and_shown(tracked):
     folder, _, client, run = tracked
     for name in ("log_l1", "l1", "mape", "ssim", "psnr"):

@@ -28,6 +28,16 @@ def flattened(config: dict[str, Any], prefix: str = "") -> dict[str, str]:
     return flat
 
 
+def parameters(config: dict[str, Any]) -> dict[str, str]:
+    """Flatten a configuration without names and places of the run, in which any two runs differ."""
+    own = [config[name] for name in ("run_dir", "run_name") if name in config]
+    return {
+        name: value
+        for name, value in flattened(config).items()
+        if not name.startswith("logger.") and not any(each in value for each in own)
+    }
+
+
 def machine_tags() -> dict[str, str]:
     """Return the host name, and the Slurm job if there is one."""
     jobs = {tag: os.environ[variable] for variable, tag in SLURM_TAGS.items() if variable in os.environ}

@@ -15,7 +15,7 @@ from lightning.pytorch.utilities import rank_zero_only
 
 from rfpp.files import write_atomically
 from rfpp.shards.manifest import Manifest
-from rfpp.training.tracking.description import code_changes, flattened, machine_tags
+from rfpp.training.tracking.description import code_changes, flattened, machine_tags, parameters
 from rfpp.training.tracking.journal import JOURNAL, Journal, Record, records
 
 #: File with all metrics in the run's folder.
@@ -94,11 +94,11 @@ class RunLogger(Logger):
 
     @rank_zero_only
     def describe(self, config: dict[str, Any], config_file: Path, manifest: Manifest, tags: Mapping[str, str]) -> None:
-        """Log config (as parameters and as a file), data set, code, machine, and the number of restarts.
+        """Log config (as a file, and its comparable part as parameters), data set, code, machine, number of restarts.
 
         Settings that have changed since the run began are tags, `resumed/optimizer.lr` for instance.
         """
-        changed = self._journal.parameters(flattened(config))
+        changed = self._journal.parameters(parameters(config))
         self._also.log_hyperparams(config)
         tags = {**tags, **machine_tags(), "resumed": str(self._journal.starts - 1)}
         tags |= {f"resumed/{name}": value for name, value in changed.items()}
