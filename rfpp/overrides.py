@@ -73,8 +73,9 @@ def _require(cfg: DictConfig, defaults: DictConfig, key: str) -> None:
 
 def names_setting(message: str, overrides: Sequence[str]) -> bool:
     """Return whether an error begins with a setting of the command line, a part of one, or a group that has one."""
-    named = re.match(r"[\w.]*", message)[0]
-    keys = map(_key, overrides)
+    if not (start := re.match(r"([\w.]+)[:=]", message)):
+        return False
+    named, keys = start[1], map(_key, overrides)
     return any(named == key or named.startswith(f"{key}.") or key.startswith(f"{named}.") for key in keys)
 
 

@@ -11,7 +11,7 @@ from omegaconf import OmegaConf
 
 from rfpp.commands import CONFIG_DIR
 from rfpp.errors import UserError
-from rfpp.overrides import defaults_of, require_valid
+from rfpp.overrides import defaults_of, names_setting, require_valid
 
 COMMANDS = {"train": "experiment=large_scale", "generate": "experiment=study", "evaluate": "experiment=ablation",
             "refine": "experiment=rfpp_real", "benchmark": "benchmark=cost", "render/render": "motion=swing",
@@ -73,6 +73,21 @@ def _message(given, defaults, key):
     except UserError as error:
         return str(error)
     return ""
+
+
+@pytest.mark.parametrize(
+    ("message", "named"),
+    [
+        ("camera.fov: input should be less than 180", True),
+        ("camera: position is missing", True),
+        ("camera.fov=-1: no negative number was expected", True),
+        ("camera.look_at: input should be a valid tuple", False),
+        ("camera images need Blender", False),
+        ("/data/camera.fov: no such file", False),
+    ],
+)
+def test_an_error_names_a_setting_of_the_command_line(message, named):
+    assert names_setting(message, ["scene=a.json", "camera.fov=-1"]) is named
 
 
 @pytest.mark.parametrize(
