@@ -63,7 +63,7 @@ def test_an_invalid_value_is_reported_in_one_line(given, said, tmp_path, monkeyp
     )
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "argv", ["days", given])
-    with pytest.raises(SystemExit, match="1"):
+    with pytest.raises(SystemExit, match="2"):
         entry_point("days", tmp_path / "conf")(lambda cfg: instantiate(cfg.calendar))()
     assert re.fullmatch(said, capsys.readouterr().err)
 
