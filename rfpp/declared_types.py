@@ -40,10 +40,11 @@ def declared_problem(cfg: DictConfig, key: str, before: Any) -> str | None:
 
     Args:
         cfg: Composed configuration; a node with `_target_` names a constructor, and its other keys are arguments.
-        key: Dotted name of a setting.
+        key: Name of a setting, with dots.
         before: Its default; infinity and NaN are refused unless the default is one of them.
     """
-    declared, value = _TYPES.get(key, _annotation(cfg, key)), OmegaConf.select(cfg, key)
+    declared = _TYPES.get(key, _annotation(cfg, key))
+    value = OmegaConf.select(cfg, key, throw_on_resolution_failure=False)
     if declared is None or (isinstance(value, DictConfig) and "_target_" in value):
         return None
     if OmegaConf.is_config(value):
