@@ -7,7 +7,7 @@ The same command with the same run_dir resumes the run, even after a kill. Ctrl-
 
 from __future__ import annotations
 
-from rfpp.training.signals import STOP_SIGNALS
+from rfpp.training.signals import REQUEUE, STOP_SIGNALS
 
 if __name__ == "__main__":
     STOP_SIGNALS.watch()  # the imports below take seconds, in which a signal must not end this rank
@@ -37,7 +37,7 @@ from rfpp.training.callbacks.finite_gradients import NonFiniteGradientError
 from rfpp.training.checkpoint_files import AUTO, checkpoint_to_resume, point_at
 from rfpp.training.module import RenderingModule
 from rfpp.training.plan import PLAN_KEY, choose_acceleration, choose_precision, plan_training, require_devices
-from rfpp.training.rollback import continues_job, roll_back
+from rfpp.training.rollback import continues_job, leave_out, left_out_steps, roll_back
 from rfpp.training.run import build_trainer, locked, trainer_plugins
 from rfpp.training.steps import CapturedStep, PlainStep
 from rfpp.training.stopping import StoppedError, exit_early
@@ -128,6 +128,12 @@ def main(cfg: DictConfig) -> Path | None:
     except (StoppedError, NonFiniteGradientError, DivergenceError) as stop:
         if not is_first:
             return None  # raised on all ranks, reported by the first
+        if isinstance(stop, DivergenceError) and len(left_out_steps(run_dir)) < cfg.roll_backs:
+            with locked(run_dir):
+                start = leave_out(run_dir, stop.steps)
+            if start is not None:
+                span = f"{stop.steps[0]}–{stop.steps[-1]}, where training began to diverge"
+                exit_early(StoppedError(f"back to {start}, without steps {span}", REQUEUE), run_dir)
         if isinstance(stop, StoppedError):
             exit_early(stop, run_dir)
         raise

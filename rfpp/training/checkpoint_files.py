@@ -89,9 +89,20 @@ def step_files(folder: Path) -> list[Path]:
     return sorted(folder.glob("step-*.ckpt"))
 
 
-def keep_newest(folder: Path, count: int) -> None:
-    """Delete all but the newest resumable checkpoints, and partial files of killed processes."""
-    for path in [*step_files(folder)[:-count], *folder.glob(".*.ckpt.*")]:
+def step_of(path: Path) -> int:
+    """Return the steps before a resumable checkpoint, by its name."""
+    return int(path.stem.removeprefix("step-"))
+
+
+def keep_newest(folder: Path, count: int, milestones: int) -> None:
+    """Delete resumable checkpoints, and partial files of killed processes.
+
+    Args:
+        count: The newest are kept.
+        milestones: Those after a multiple of this many steps are kept.
+    """
+    older = [path for path in step_files(folder)[:-count] if step_of(path) % milestones]
+    for path in [*older, *folder.glob(".*.ckpt.*")]:
         path.unlink(missing_ok=True)
 
 

@@ -10,11 +10,34 @@ from pathlib import Path
 
 from rfpp.checkpoint.loading import read_checkpoint
 from rfpp.files import write_atomically
-from rfpp.training.checkpoint_files import point_at, step_files
+from rfpp.training.checkpoint_files import find_defect, point_at, step_files, step_of
 from rfpp.training.tracking.journal import JOURNAL, RUN_FILE, Record, records
 
 #: Folder in a run's folder with what the run did after the steps that it went back to, numbered.
 ASIDE = "rolled_back"
+#: File in a run's folder with the steps that the run leaves out: pairs of the first and the last.
+LEFT_OUT = "left_out_steps.json"
+
+
+def left_out_steps(run_dir: Path) -> list[range]:
+    """Return the steps that a run leaves out."""
+    file = run_dir / LEFT_OUT
+    return [range(first, last + 1) for first, last in json.loads(file.read_bytes())] if file.exists() else []
+
+
+def leave_out(run_dir: Path, steps: range) -> Path | None:
+    """Go back to the newest intact checkpoint before `steps`, and let the run leave these out.
+
+    Returns:
+        The checkpoint; None: there is none, and nothing has changed.
+    """
+    earlier = (path for path in reversed(step_files(run_dir / "checkpoints")) if step_of(path) < steps[0])
+    start = next((path for path in earlier if find_defect(path) is None), None)
+    if start is not None:
+        spans = [(span[0], span[-1]) for span in [*left_out_steps(run_dir), steps]]
+        write_atomically(run_dir / LEFT_OUT, json.dumps(spans).encode())
+        roll_back(run_dir, start)
+    return start
 
 
 def continues_job(run_dir: Path) -> bool:
@@ -40,7 +63,7 @@ def roll_back(run_dir: Path, start: Path | None) -> Path | None:
     step, start = (0, None) if start is None else (_step(start), start.resolve())
     checkpoints = run_dir / "checkpoints"
     best, last = checkpoints / "best.ckpt", checkpoints / "last.ckpt"
-    later = [path for path in step_files(checkpoints) if int(path.stem.removeprefix("step-")) > step]
+    later = [path for path in step_files(checkpoints) if step_of(path) > step]
     is_best_later = best.exists() and _step(best) > step
     metrics = [record for record in _journal(run_dir) if record["kind"] == "metrics"]
     if not (later or is_best_later or any(record["step"] >= step for record in metrics)):

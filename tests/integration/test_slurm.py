@@ -20,7 +20,12 @@ from rfpp.shards.manifest import Manifest
 from rfpp.training.checkpoint_files import step_file
 
 REPOSITORY = Path(__file__).resolve().parents[2]
-RUN = ("steps=12", "trainer.val_check_interval=5", "datamodule.workers=1", "+callbacks.skewed._target_=skewed.Skewed")
+RUN = (
+    "steps=12",
+    "trainer.val_check_interval=5",
+    "datamodule.workers=1",
+    "+callbacks.skewed._target_=faulty_callbacks.Skewed",
+)
 
 
 def submitted(slurm, folder: Path, *options: str, run: tuple[str, ...] = RUN) -> tuple[str, Path, Path]:

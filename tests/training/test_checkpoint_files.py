@@ -81,10 +81,11 @@ def test_a_checkpoint_of_another_network_is_refused(folder):
         checkpoint_to_resume(AUTO, folder, other.model)
 
 
-def test_the_newest_are_kept_and_partial_files_are_deleted(folder):
+def test_the_newest_and_milestones_are_kept_and_partial_files_are_deleted(folder):
     (folder / ".step-00000301.ckpt.x7").write_bytes(b"half")
-    keep_newest(folder, 2)
-    assert {path.name for path in folder.iterdir()} == {"step-00000020.ckpt", "step-00000300.ckpt"}
+    for count, milestones, expected in ((2, 7, [20, 300]), (1, 20, [20, 300]), (1, 7, [300])):
+        keep_newest(folder, count, milestones)
+        assert sorted(folder.iterdir()) == [step_file(folder, step) for step in expected]
 
 
 def test_a_full_disk_leaves_the_old_file_unchanged(folder, monkeypatch):

@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -17,8 +18,9 @@ from small_data import BoxFamily, make
 from training_runs import SETTINGS, differing, finish, output, start, train, wait_for_step
 
 from rfpp.commands import CONFIG_DIR
+from rfpp.training.callbacks.divergence import WINDOW
 from rfpp.training.checkpoint_files import step_file, step_files
-from rfpp.training.rollback import continues_job
+from rfpp.training.rollback import continues_job, leave_out, left_out_steps
 from rfpp.training.tracking.journal import JOURNAL, RUN_FILE, Journal, records
 from rfpp.training.tracking.mlflow_run import store_uri
 
@@ -26,6 +28,8 @@ STEPS = 10
 RUN = (f"steps={STEPS}", "trainer.val_check_interval=4", "datamodule.source.validation_scenes=3")
 #: Where summing in another order may not be magnified, as Adam does with gradients near zero.
 PLAIN_DESCENT = ("optimizer._target_=torch.optim.SGD", "optimizer.lr=0.3", "trainer.precision=32-true")
+#: No checkpoint before the last step.
+RARELY = ("callbacks.checkpoints.every_n_steps=1000", "callbacks.checkpoints.every_n_minutes=null")
 LOGGED = {"train/loss", "validation/log_l1"}
 PRECISIONS = {"fp32": ("trainer.precision=32-true",), "bf16": ("trainer.precision=bf16-mixed",)}
 
@@ -194,6 +198,35 @@ def test_going_back_is_a_branch_that_keeps_what_it_left(folder, data, alone):
     assert logged(run_dir) == logged(alone)
 
 
+def test_a_run_that_diverges_goes_back_and_leaves_out_where_it_began(folder, data):
+    run_dir, keep = folder / "diverged", "callbacks.checkpoints.keep=30"
+    # so that an ordinary loss counts as too high as soon as there is a median
+    alarm = ("callbacks.divergence.factor=0.001", "callbacks.divergence.patience=3")
+    lasting = (*RUN, *PLAIN_DESCENT, "steps=24", "optimizer.weight_decay=0", keep, *alarm)
+    assert finish(start(run_dir, data, *lasting)) == [1]
+    assert "error: step 23: training has diverged" in output(run_dir)
+    shutil.rmtree(run_dir)
+    assert finish(start(run_dir, data, *lasting, "roll_backs=1")) == [128 + signal.SIGUSR1]
+    before = step_file(run_dir / "checkpoints", WINDOW - 1)
+    assert f"back to {before}, without steps {WINDOW}–{WINDOW + 1}, where training began to" in output(run_dir)
+    train(run_dir, data, *lasting, "roll_backs=1")
+    after = [step_file(run_dir / "checkpoints", WINDOW + n) for n in range(-1, 3)]
+    at = [weights(torch.load(path, weights_only=True)) for path in after]
+    assert [bool((a == b).all()) for a, b in pairwise(at)] == [True, True, False]
+    left = step_file(run_dir / "rolled_back" / "1" / "checkpoints", WINDOW + 1)
+    assert (weights(torch.load(left, weights_only=True)) != at[2]).any()
+
+
+def test_a_run_without_an_earlier_checkpoint_does_not_go_back(tmp_path, uninterrupted):
+    shutil.copytree(uninterrupted["fp32"] / "checkpoints", tmp_path / "checkpoints", symlinks=True)
+    assert leave_out(tmp_path, range(1, 3)) is None
+    assert left_out_steps(tmp_path) == []
+    damage = step_file(tmp_path / "checkpoints", STEPS - 1)
+    damage.write_bytes(damage.read_bytes()[:-100])
+    assert leave_out(tmp_path, range(STEPS, STEPS + 1)) == step_file(tmp_path / "checkpoints", STEPS - 2)
+    assert left_out_steps(tmp_path) == [range(STEPS, STEPS + 1)]
+
+
 def test_a_requeued_job_does_not_go_back_again(tmp_path, monkeypatch):
     Journal(tmp_path / JOURNAL).append("tags", values={"slurm_job_id": "7"})
     for restarts, job, expected in (("0", "7", False), ("1", "7", True), ("1", "8", False)):
@@ -250,19 +283,31 @@ def test_control_c_saves_and_the_same_command_goes_on(folder, data, uninterrupte
     assert differing(train(run_dir, data, *RUN, *PRECISIONS["bf16"]), last(uninterrupted["bf16"])) == []
 
 
+def test_the_steps_before_an_error_are_not_lost(folder, data, uninterrupted):
+    run_dir, failing = folder / "failing", "+callbacks.failing._target_=faulty_callbacks.Failing"
+    assert finish(start(run_dir, data, *RUN, *PRECISIONS["fp32"], *RARELY, failing)) == [1]
+    assert "a failure of the sixth step" in output(run_dir)
+    assert last(run_dir)["global_step"] == 5
+    ended = train(run_dir, data, *RUN, *PRECISIONS["fp32"], *RARELY)
+    assert "Resumes" in output(run_dir)
+    assert differing(ended, last(uninterrupted["fp32"])) == []
+
+
 def test_ranks_agree_on_checkpoints_by_time(folder, data):
     """The first rank's clock decides for the second, too, which else would wait for it in a save, or it for that."""
     run_dir = folder / "by-time"
-    by_time = ("callbacks.checkpoints.every_n_steps=1000", "callbacks.checkpoints.every_n_minutes=1e-6")
+    by_time = (*RARELY, "callbacks.checkpoints.every_n_minutes=1e-6")
     by_time += ("callbacks.checkpoints.keep=100", "steps=40")
-    train(run_dir, data, *RUN, *PLAIN_DESCENT, *by_time, "+callbacks.skewed._target_=skewed.LateClock", ranks=2)
+    train(
+        run_dir, data, *RUN, *PLAIN_DESCENT, *by_time, "+callbacks.skewed._target_=faulty_callbacks.LateClock", ranks=2
+    )
     saved = len(step_files(run_dir / "checkpoints"))
     assert 2 <= saved < 40  # as each takes longer than a twentieth of the steps before the next
 
 
 def test_a_loss_that_is_not_finite_stops_training_and_names_its_scenes(folder, data):
     run_dir = folder / "exploding"
-    exploding = ("optimizer.lr=1e30", "schedule.warmup_steps=1", "datamodule.batching.scenes_per_device=2")
+    exploding = ("optimizer.lr=1e30", "schedule.warmup_steps=1", "datamodule.batching.scenes_per_device=2", *RARELY)
     assert finish(start(run_dir, data, *RUN, *PLAIN_DESCENT, *exploding)) == [1]
     errors = [line for line in output(run_dir).splitlines() if line.startswith("error: ")]
     (path,) = (run_dir / "non_finite").iterdir()

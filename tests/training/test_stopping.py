@@ -136,7 +136,8 @@ def test_checkpoints_are_saved_by_steps_and_by_time(
     handlers, monkeypatch, tmp_path, minutes, every, seconds, saving, expected
 ):
     trainer = Steps(monkeypatch, 10, seconds, saving)
-    assert trainer.train(ResumableCheckpoints(str(tmp_path), every, minutes, keep=3)) == expected
+    callback = ResumableCheckpoints(str(tmp_path), every, minutes, keep=3, keep_every_n_steps=500)
+    assert trainer.train(callback) == expected
 
 
 def test_a_signal_before_training_stops_it_before_its_first_step(handlers, monkeypatch, tmp_path):
@@ -144,7 +145,7 @@ def test_a_signal_before_training_stops_it_before_its_first_step(handlers, monke
     signal.raise_signal(signal.SIGTERM)
     trainer = Steps(monkeypatch, 10, 1.0, 1.0)
     with pytest.raises(StoppedError, match="SIGTERM after step 0 of 10") as stopped:
-        trainer.train(ResumableCheckpoints(str(tmp_path), 1, None, keep=3))
+        trainer.train(ResumableCheckpoints(str(tmp_path), 1, None, keep=3, keep_every_n_steps=500))
     assert stopped.value.signal == signal.SIGTERM
     assert trainer.saved == []
     assert STOP_SIGNALS.received is None

@@ -1,16 +1,20 @@
-"""Warn of spikes in the loss and the gradient norm, and stop a training run that has diverged."""
+"""Warn of spikes in the loss and the gradient norm, stop a run that has diverged, and leave out the steps at fault."""
 
 from __future__ import annotations
 
 import warnings
 from collections import defaultdict, deque
+from pathlib import Path
 from statistics import median
 from typing import Any
 
 import lightning as L
+from torch.optim import Optimizer
 
 from rfpp.batch import RaggedBatch
 from rfpp.errors import UserError
+from rfpp.ranges import Positive
+from rfpp.training.rollback import left_out_steps
 
 #: Metrics that are watched. They are equal on all ranks, which therefore stop together.
 WATCHED = ("train/loss", "train/gradient_norm")
@@ -19,21 +23,45 @@ WINDOW = 20
 
 
 class DivergenceError(UserError):
-    """Training has diverged; raised on all ranks."""
+    """Training has diverged; raised on all ranks.
+
+    Attributes:
+        steps: From the last logged step whose loss, that before its update, is usual, to the first whose loss is high.
+    """
+
+    def __init__(self, step: int, steps: range):
+        super().__init__(
+            f"step {step}: training has diverged: go back with checkpoint=<run_dir>/checkpoints/step-….ckpt, and "
+            "resume with a smaller optimizer.lr or with roll_backs=1"
+        )
+        self.step, self.steps = step, steps
 
 
 class DivergenceAlarm(L.Callback):
     """Warns at logged steps where the loss or the gradient norm exceeds a multiple of its recent median.
 
+    The steps that a run leaves out (`leave_out`) are made with zero gradients.
+
     Args:
+        run_dir: Folder of the run.
         factor: The multiple.
         patience: Consecutive logged steps with such a loss after which training stops; None: it never stops.
     """
 
-    def __init__(self, factor: float, patience: int | None):
-        self.factor, self.patience = factor, patience
+    def __init__(self, run_dir: str, factor: float, patience: Positive | None):
+        self.run_dir, self.factor, self.patience = Path(run_dir), factor, patience
         self._recent: dict[str, deque[float]] = defaultdict(lambda: deque(maxlen=WINDOW))
         self._spikes = 0
+
+    def on_train_start(self, trainer: L.Trainer, module: L.LightningModule) -> None:
+        self._left_out = left_out_steps(self.run_dir)
+
+    def on_before_optimizer_step(self, trainer: L.Trainer, module: L.LightningModule, optimizer: Optimizer) -> None:
+        if any(trainer.global_step + 1 in steps for steps in self._left_out):
+            for group in optimizer.param_groups:
+                for parameter in group["params"]:
+                    if parameter.grad is not None:
+                        parameter.grad.zero_()
 
     def on_train_batch_end(
         self, trainer: L.Trainer, module: L.LightningModule, outputs: Any, batch: RaggedBatch, batch_index: int
@@ -44,10 +72,8 @@ class DivergenceAlarm(L.Callback):
         spikes = [name in trainer.callback_metrics and self._is_spike(name, trainer) for name in WATCHED]
         self._spikes = self._spikes + 1 if spikes[0] else 0
         if self.patience is not None and self._spikes >= self.patience:
-            raise DivergenceError(
-                f"step {trainer.global_step}: training has diverged: go back with checkpoint=<run_dir>/checkpoints/"
-                "step-….ckpt, and resume with a smaller optimizer.lr"
-            )
+            first = trainer.global_step - (self.patience - 1) * trainer.log_every_n_steps
+            raise DivergenceError(trainer.global_step, range(max(first - trainer.log_every_n_steps, 1), first + 1))
 
     def _is_spike(self, name: str, trainer: L.Trainer) -> bool:
         value, recent = float(trainer.callback_metrics[name]), self._recent[name]

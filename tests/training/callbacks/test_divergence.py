@@ -17,15 +17,16 @@ def train(alarm: DivergenceAlarm, losses: list[float], norm: float = 1.0) -> Non
 
 def test_a_falling_and_noisy_loss_raises_no_alarm():
     with warnings.catch_warnings(action="error"):
-        train(DivergenceAlarm(10.0, 1), [10 * 0.9**step * (1 + step % 3) for step in range(100)])
+        train(DivergenceAlarm("run", 10.0, 1), [10 * 0.9**step * (1 + step % 3) for step in range(100)])
 
 
 def test_a_spike_is_warned_of_and_training_continues():
     with pytest.warns(UserWarning, match=f"step {WINDOW + 1}: train/loss is 50 times its recent median"):
-        train(DivergenceAlarm(10.0, 2), [*[1.0] * WINDOW, 50.0, *[1.0] * 30])
+        train(DivergenceAlarm("run", 10.0, 2), [*[1.0] * WINDOW, 50.0, *[1.0] * 30])
 
 
 @pytest.mark.filterwarnings("ignore:.*50 times")
 def test_a_loss_that_stays_high_stops_training():
-    with pytest.raises(DivergenceError, match=f"step {WINDOW + 3}: training has diverged"):
-        train(DivergenceAlarm(10.0, 3), [*[1.0] * WINDOW, *[50.0] * 10])
+    with pytest.raises(DivergenceError, match=f"step {WINDOW + 3}: training has diverged") as diverged:
+        train(DivergenceAlarm("run", 10.0, 3), [*[1.0] * WINDOW, *[50.0] * 10])
+    assert list(diverged.value.steps) == [WINDOW, WINDOW + 1]

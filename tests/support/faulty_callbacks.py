@@ -1,4 +1,4 @@
-"""Callbacks by which ranks differ: one behind the other, one with another clock."""
+"""Callbacks by which ranks differ, one behind the other or with another clock, and one that fails."""
 
 import time
 
@@ -22,3 +22,11 @@ class LateClock(L.Callback):
         if trainer.global_rank == 1:
             [checkpoints] = [c for c in trainer.callbacks if isinstance(c, ResumableCheckpoints)]
             checkpoints.every_n_minutes = 0.0
+
+
+class Failing(L.Callback):
+    """Fails in the middle of the sixth step."""
+
+    def on_before_optimizer_step(self, trainer, module, optimizer) -> None:
+        if trainer.global_step == 5:
+            raise RuntimeError("a failure of the sixth step")
