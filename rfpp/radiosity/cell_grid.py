@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from rfpp.radiosity.cell_splits import NO_SPLITS, CellSplits
 from rfpp.radiosity.cell_table import DIRECTIONS, MOST_PIECES, NOWHERE, SIDES, CellTable, keys_each
@@ -16,6 +15,8 @@ from rfpp.scene.triangles import SceneTriangles
 
 #: Approximate edge of a cell, in world units.
 CELL_EDGE = 0.1
+#: In scenes of more objects, those that are smaller than a cell are not divided.
+CROWD = 1000
 #: Largest number of triangles for which edges are searched; cosine between normals below which they meet at a crease.
 _MOST_TRIANGLES, _CREASE = 4096, 0.87
 #: Moments closer than this share belong to a symmetric object, whose axes they do not determine.
@@ -33,7 +34,8 @@ class CellGrid:
         centroid: Centroid of each object's surface.
         axes: Principal axes as rows, longest first.
         half: Reach along the axes.
-        pieces: Number of boxes on either side of the centroid.
+        pieces: Number of boxes on either side of the centroid; 0 for objects that are not divided: their axes and
+            centroid are not used, and each of their sides is one cell, whatever direction it faces.
     """
 
     triangles: SceneTriangles
@@ -46,16 +48,22 @@ class CellGrid:
     def over(cls, triangles: SceneTriangles) -> CellGrid:
         """Divide the objects of a scene."""
         bounds = triangles.object_offsets
-        parts = [triangles.positions[a:b].astype(np.float64) for a, b in pairwise(bounds)]
-        placed = [principal_axes(part) for part in parts]
-        centroid, axes = np.stack([c for c, _ in placed]), np.stack([a for _, a in placed])
-        reach = [
-            np.abs(np.einsum("ri,ki->rk", part.reshape(-1, 3) - c, a)).max(0)
-            for part, (c, a) in zip(parts, placed, strict=True)
-        ]
-        half = np.stack(reach)
-        pieces = np.clip(np.rint(half / CELL_EDGE), 1, MOST_PIECES).astype(np.int64)
+        count = len(bounds) - 1
+        centroid, half, pieces = np.zeros((count, 3)), np.zeros((count, 3)), np.zeros((count, 3), np.int64)
+        axes = np.tile(np.eye(3), (count, 1, 1))
+        for number in np.flatnonzero(~_undivided(triangles)):
+            part = triangles.positions[bounds[number] : bounds[number + 1]].astype(np.float64)
+            centroid[number], axes[number] = principal_axes(part)
+            away = part.reshape(-1, 3) - centroid[number]
+            half[number] = np.abs(np.einsum("ri,ki->rk", away, axes[number])).max(0)
+            pieces[number] = np.clip(np.rint(half[number] / CELL_EDGE), 1, MOST_PIECES)
         return cls(triangles, centroid, axes, half, pieces)
+
+    @property
+    def is_divided(self) -> Bool[np.ndarray, " o"]:
+        """Return the mask of objects that are divided into boxes."""
+        divided: np.ndarray = self.pieces[:, 0] > 0
+        return divided
 
     @cached_property
     def _direction(self) -> Int[np.ndarray, " m"]:
@@ -70,12 +78,13 @@ class CellGrid:
     @cached_property
     def first(self) -> Int[np.ndarray, " o_plus_1"]:
         """First key of each object, and the number of keys."""
-        first: np.ndarray = np.concatenate([[0], np.cumsum(8 * self._keys_of_octant)])
+        count = np.where(self.is_divided, 8 * self._keys_of_octant, SIDES)
+        first: np.ndarray = np.concatenate([[0], np.cumsum(count)])
         return first
 
     @property
     def _keys_of_octant(self) -> Int[np.ndarray, " o"]:
-        count: np.ndarray = self.pieces.prod(-1) * DIRECTIONS * SIDES
+        count: np.ndarray = self.pieces.prod(-1).clip(1) * DIRECTIONS * SIDES
         return count
 
     def keys(
@@ -109,6 +118,18 @@ class CellGrid:
     def _sides_of_octants(self, keys: Int[np.ndarray, " c"]) -> Int[np.ndarray, " c"]:
         sides: np.ndarray = self.octants(keys) * SIDES + keys % SIDES
         return sides
+
+
+def _undivided(triangles: SceneTriangles) -> Bool[np.ndarray, " o"]:
+    """Return the mask of small objects in a crowded scene."""
+    first = triangles.object_offsets[:-1]
+    if len(first) <= CROWD:
+        return np.zeros(len(first), np.bool_)
+    reach = np.maximum.reduceat(triangles.positions.max(1), first) - np.minimum.reduceat(
+        triangles.positions.min(1), first
+    )
+    small: np.ndarray = np.linalg.norm(reach, axis=-1) < CELL_EDGE
+    return small
 
 
 def principal_axes(corners: Float[np.ndarray, "m 3 3"]) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, "3 3"]]:

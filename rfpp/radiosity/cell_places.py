@@ -20,8 +20,8 @@ from rfpp.scene.triangles import SceneTriangles
 
 #: Rays per cell that sample its form factors.
 RAYS = 128
-#: Sample points per object, and further ones per box of its grid.
-_POINTS, _POINTS_PER_BOX = 128, 8
+#: Sample points per object, and further ones per box of its grid; those of an object that is not divided.
+_POINTS, _POINTS_PER_BOX, _OF_UNDIVIDED = 128, 8, 16
 #: Points per cell at which light is sampled.
 _SEEN = 16
 
@@ -66,7 +66,8 @@ def find_places(triangles: SceneTriangles, caster: RayCaster) -> CellPlaces:
     keys_of_points = even.keys(grid)
     keys = np.flatnonzero(np.bincount(keys_of_points))
     whole = np.searchsorted(keys, keys_of_points)
-    entry, splits, cell = split_cells(triangles, caster, even.position, even.normal(triangles), whole)
+    divided = np.unique(whole[grid.is_divided[triangles.object_index[even.triangle]]])
+    entry, splits, cell = split_cells(triangles, caster, even.position, even.normal(triangles), whole, divided)
     owner_of_cell = np.empty(cell.max() + 1, np.int64)
     owner_of_cell[cell] = triangles.object_index[even.triangle]
     everywhere = CellMap(grid, keys, entry, splits)
@@ -117,7 +118,8 @@ def even_points(triangles: SceneTriangles, grid: CellGrid, rng: np.random.Genera
     area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=-1)
     steps = np.concatenate([[0], np.cumsum(area)])
     first, last = triangles.object_offsets[:-1], triangles.object_offsets[1:]
-    count = np.where(steps[last] > steps[first], _POINTS + _POINTS_PER_BOX * (2 * grid.pieces).prod(-1), 0)
+    wanted = np.where(grid.is_divided, _POINTS + _POINTS_PER_BOX * (2 * grid.pieces).prod(-1), _OF_UNDIVIDED)
+    count = np.where(steps[last] > steps[first], wanted, 0)
     owner = np.repeat(np.arange(len(count)), count)
     nth = np.arange(len(owner)) - np.repeat(np.cumsum(count) - count, count)
     size = (steps[last] - steps[first])[owner]

@@ -54,11 +54,13 @@ def split_cells(
     position: Float[np.ndarray, "r 3"],
     normal: Float[np.ndarray, "r 3"],
     cell: Int[np.ndarray, " r"],
+    tested: Int[np.ndarray, " t"],
 ) -> tuple[Int[np.ndarray, " c"], CellSplits, Int[np.ndarray, " r"]]:
     """Split cells at the walls that stand on them.
 
     Args:
         position: Points of the cells, at least one of each.
+        tested: Cells that may be split.
 
     Returns:
         The number that replaces each cell (itself, or a split), the splits, and the cell of each point.
@@ -68,7 +70,6 @@ def split_cells(
     planes: list[np.ndarray] = []
     children: list[list[int]] = []
     parent = {number: ("entry", number, 0) for number in range(count)}
-    tested = np.arange(count)
     for _ in range(_ROUNDS):
         divided = []
         for number, plane, in_front in _dividers(triangles, caster, position, normal, cell, tested):

@@ -74,6 +74,9 @@ def cells_each(
 def key_at(table: CellTable, triangle: int, point: Vector, back: bool) -> int:
     """Return the key of a point on the front or the back of a triangle; equal for points of one cell."""
     owner = table.owner[triangle]
+    first: int = table.first[owner]
+    if table.pieces[owner, 0] == 0:
+        return first + back
     half, pieces, center = table.half[owner], table.pieces[owner], table.centroid[owner]
     flat = FLAT * max(half[0], half[1], half[2])
     away = (point[0] - center[0], point[1] - center[1], point[2] - center[2])
@@ -87,7 +90,7 @@ def key_at(table: CellTable, triangle: int, point: Vector, back: bool) -> int:
         octant |= beyond << k  # octant first, as tokens of HOCT
         box = box * pieces[k] + place - (pieces[k] if beyond else 0)
     of_box = octant * pieces[0] * pieces[1] * pieces[2] + box
-    key: int = table.first[owner] + (of_box * DIRECTIONS + table.direction[triangle]) * SIDES + back
+    key: int = first + (of_box * DIRECTIONS + table.direction[triangle]) * SIDES + back
     return key
 
 

@@ -235,6 +235,9 @@ def first_problem(error: ValidationError, noun: str = "") -> str:
             what = "this key is missing: add it"
         case "value_error":
             what = str(problem["ctx"]["error"])
+        case "too_long":
+            what = f"{len(problem['input']):,} are more than {problem['ctx']['max_length']:,}"
         case _:
-            what = f"{problem['msg'][0].lower()}{problem['msg'][1:]}, not {reprlib.repr(problem['input'])}"
+            given = one_line(reprlib.repr(problem["input"]))
+            what = f"{problem['msg'][0].lower()}{problem['msg'][1:]}, not {given}"
     return f"{where}: {what}" if where else what

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from known_scenes import LIGHT, box, material, moved, pack, rigid_motion, sphere, square, still_life
 
+from rfpp.radiosity import cell_grid
 from rfpp.radiosity.cell_finding import cells_at
 from rfpp.radiosity.cell_grid import principal_axes
 from rfpp.radiosity.cell_places import find_places
@@ -70,6 +71,20 @@ def test_light_arrives_at_the_side_that_is_lit_and_not_in_shadows():
     assert not direct[(placed.owner == 0) & (upwards < 0)].any()
     covered = (placed.owner == 1) & (upwards > 0)
     assert covered.any() and not direct[covered].any()
+
+
+def test_small_objects_of_a_crowd_are_one_cell_each_and_the_rest_is_as_before(monkeypatch):
+    grid = [(x, y) for x in np.linspace(-0.4, 0.4, 9) for y in np.linspace(-0.4, 0.4, 9)]
+    boxes = [(box(0.03, (x, y, 0.1)), material(0.6)) for x, y in grid]
+    scene = pack((square(0.5), material(0.5)), *boxes, LAMP)
+    alone = Placed(scene)
+    monkeypatch.setattr(cell_grid, "CROWD", 80)
+    crowded = Placed(scene)
+    counts = [np.bincount(placed.owner) for placed in (alone, crowded)]
+    assert (counts[1][1:82] == 1).all() and (counts[0][1:82] >= 6).all()  # insides are not reached
+    assert counts[0][0] == counts[1][0] and counts[0][82] == counts[1][82]
+    floor = [placed.cells.bounced[placed.owner == 0].mean() for placed in (alone, crowded)]
+    assert floor[1] == pytest.approx(floor[0], rel=0.25)  # few rays hit a box: 10% of noise
 
 
 def test_light_is_linear_and_the_same_scene_gives_the_same_cells():
