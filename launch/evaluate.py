@@ -31,6 +31,7 @@ from rfpp.evaluation.report.evaluation_report import write_report
 from rfpp.evaluation.report.pictures import pictured_scenes, save_panel
 from rfpp.evaluation.tables.terminal import results_table
 from rfpp.evaluation.tracked_results import log_to_training_run, results_folder
+from rfpp.inference.devices import available_device
 from rfpp.inference.renderer import Renderer
 from rfpp.metrics.image import ImageMetrics
 from rfpp.metrics.lpips import LPIPS, load_trunk
@@ -42,7 +43,7 @@ from rfpp.training.tracking.registry import checkpoint_file
 @entry_point("evaluate")
 def main(cfg: DictConfig) -> list[Evaluation]:
     """Evaluate each of `cfg.checkpoint` on `cfg.evaluation.splits`; return the results in the same order."""
-    console = Console(highlight=False)
+    console, device = Console(highlight=False), available_device(cfg.device)
     if OmegaConf.is_missing(cfg, "checkpoint"):
         raise UserError("checkpoint is not given: add checkpoint=<run folder>/checkpoints/best.ckpt")
     given = [cfg.checkpoint] if isinstance(cfg.checkpoint, str) else list(cfg.checkpoint)
@@ -50,7 +51,6 @@ def main(cfg: DictConfig) -> list[Evaluation]:
     cache = instantiate(cfg.datamodule.source.cache)
     splits = [ShardSplit(cfg.data.root, name, cache) for name in cfg.evaluation.splits]
     outputs = _outputs(checkpoints, cfg.output, splits[0].manifest.name)
-    device = torch.device(cfg.device or ("cuda" if torch.cuda.is_available() else "cpu"))
     lpips = LPIPS(load_trunk()) if cfg.evaluation.lpips else None
     metrics = ImageMetrics(lpips, cfg.evaluation.detailed)
     baselines = fitted_baselines(ShardSplit(cfg.data.root, "train", cache), cfg.evaluation.baseline_scenes)

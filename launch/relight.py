@@ -27,9 +27,9 @@ from rfpp.imaging.decoding import read_radiance
 from rfpp.imaging.panels import error_map, panel, save_picture
 from rfpp.imaging.tone_maps import ToneMap, tone_map_of
 from rfpp.inference.motion.frames import with_cameras
+from rfpp.inference.relight_settings import RelightSettings
 from rfpp.inference.relighting import Images, SolvedLights, solve_lights, with_factors
 from rfpp.inference.stills import write_still
-from rfpp.scene.io.loading import load_scene
 from rfpp.scene.io.saving import fits_json, save_scene
 from rfpp.scene.spec import Scene
 from rfpp.training.tracking.registry import checkpoint_file
@@ -39,24 +39,24 @@ from rfpp.training.tracking.registry import checkpoint_file
 def main(cfg: DictConfig) -> Path:
     """Solve for the lights of `cfg.scene`, and return the scene file with them."""
     console = Console(highlight=False, soft_wrap=True)
-    path, targets = Path(required(cfg, "scene")), _as_list(required(cfg, "target"))
-    scene = load_scene(path, **{name: cfg[name] for name in ("triangles", "up", "transparent", "backdrop")})
-    cameras = list(range(len(targets))) if cfg.cameras is None else [int(camera) for camera in _as_list(cfg.cameras)]
+    for name in ("scene", "target"):
+        required(cfg, name)
+    chosen = RelightSettings.parse(OmegaConf.to_container(cfg, resolve=True))
+    path, tone_map = chosen.scene, tone_map_of(cfg.tone_map, chosen.exposure)
+    scene = chosen.load(path)
     if not isinstance(scene, Scene):
         raise UserError(f"{path}: holds triangles but no objects: use a format other than H5")
-    if len(cameras) != len(targets):
-        raise UserError(f"target: {len(targets)} pictures for cameras={cameras}: give one for each")
+    cameras = range(len(chosen.target)) if chosen.cameras is None else chosen.cameras
     views = with_cameras(scene, path, cameras)
     if not views.triangles.num_lights:
         raise UserError(f"{path}: has no lights to solve for: add one")
-    target, is_valid = _read_targets(targets, _as_list(cfg.mask), cfg.exposure)
+    target, is_valid = _read_targets(chosen.target, chosen.mask or (), chosen.exposure)
 
     file = checkpoint_file(str(cfg.checkpoint), cfg.registry.tracking_uri, Path(cfg.registry.folder))
-    renderer = Renderer.load(file, cfg.device, cfg.precision)
-    sampling = {name: cfg[name] for name in ("light_samples", "supersampling", "transports")}
+    renderer = Renderer.load(file, chosen.device, cfg.precision)
     with console.status(f"Rendering {views.triangles.num_lights} lights separately …"):
-        layers = renderer.render_lights(views, target.shape[1:3], **sampling)
-    solved = solve_lights(layers, target, is_valid, cfg.colors)
+        layers = renderer.render_lights(views, target.shape[1:3], **chosen.sampling)
+    solved = solve_lights(layers, target, is_valid, chosen.colors)
 
     table = Table("light", "red ×", "green ×", "blue ×")
     for name, factor in solved.factors.items():
@@ -66,7 +66,7 @@ def main(cfg: DictConfig) -> Path:
         console.print(f"warning: '{name}' is invisible in the target: it keeps its values")
     for one, other in solved.alike:
         console.print(f"warning: '{one}' and '{other}' have the same effect on the target: only their sum is known")
-    stem, tone_map, folder = as_file_name(path.stem), tone_map_of(cfg.tone_map, cfg.exposure), Path(cfg.output)
+    stem, folder = as_file_name(path.stem), chosen.output
     for view, image in enumerate(solved.images):
         write_still(image, folder / f"{stem}_relit_{view}.exr", tone_map)
     sheet = save_picture(_sheet(sum(layers.values()), target, solved, tone_map), folder / f"{stem}_relit.png")
@@ -77,24 +77,21 @@ def main(cfg: DictConfig) -> Path:
     return written
 
 
-def _as_list(value: object) -> list[str]:
-    plain = OmegaConf.to_container(value) if OmegaConf.is_config(value) else value
-    return [] if plain is None else [str(item) for item in (plain if isinstance(plain, list) else [plain])]
-
-
-def _read_targets(files: Sequence[str], masks: Sequence[str], stops: float) -> tuple[Images, np.ndarray]:
+def _read_targets(files: Sequence[Path], masks: Sequence[Path], stops: float) -> tuple[Images, np.ndarray]:
     """Return radiance and valid pixels. Raises UserError if sizes differ, or no pixel is valid."""
-    pictures, valid = zip(*(read_radiance(Path(file), stops) for file in files), strict=True)
+    pictures, valid = zip(*(read_radiance(file, stops) for file in files), strict=True)
     if len({picture.shape for picture in pictures}) > 1:
-        raise UserError(f"target: {', '.join(files)} differ in size: give pictures of one size")
+        raise UserError(f"target: {', '.join(map(str, files))} differ in size: give pictures of one size")
     is_valid = np.stack(valid)
     if masks:
-        white = [read_radiance(Path(mask))[0].mean(-1) > 0.2 for mask in masks]  # half of the 8-bit range
-        if len(white) != len(files) or any(mask.shape != is_valid.shape[1:] for mask in white):
-            raise UserError("mask: give one for each target, of its size")
+        white = [read_radiance(mask)[0].mean(-1) > 0.2 for mask in masks]  # half of the 8-bit range
+        if any(mask.shape != is_valid.shape[1:] for mask in white):
+            raise UserError("mask: differs in size from its target")
         is_valid &= np.stack(white)
     if not is_valid.any():
-        raise UserError(f"target: {', '.join(files)}: all pixels are clipped or masked: give another picture or mask")
+        raise UserError(
+            f"target: {', '.join(map(str, files))}: all pixels are clipped or masked: give another picture or mask"
+        )
     return np.stack(pictures), is_valid
 
 

@@ -22,6 +22,7 @@ from rich.console import Console
 from rfpp import Renderer
 from rfpp.commands import entry_point, settings
 from rfpp.imaging.tone_maps import TONE_MAPS
+from rfpp.inference.scene_settings import as_list
 from rfpp.scene.io.loading import load_scene
 from rfpp.training.tracking.registry import checkpoint_file
 
@@ -40,7 +41,7 @@ def main(cfg: DictConfig) -> None:
         instantiate(settings("reference", "reference_settings", cfg.reference_settings, without=["radiosity"])),
         host=cfg.host,
         port=cfg.port,
-        longer_side=cfg.resolution or max(renderer.info.resolution),
+        longer_side=max(as_list(cfg.resolution) or renderer.info.resolution),
         moving_seconds=cfg.moving_seconds,
     )
     console = Console(highlight=False, soft_wrap=True)

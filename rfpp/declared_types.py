@@ -5,11 +5,11 @@ from __future__ import annotations
 import inspect
 import math
 from dataclasses import is_dataclass
-from typing import Any, get_type_hints
+from typing import Annotated, Any, get_type_hints
 
 from hydra.utils import get_object
 from omegaconf import DictConfig, OmegaConf
-from pydantic import ConfigDict, PydanticUserError, TypeAdapter, ValidationError
+from pydantic import ConfigDict, Field, PydanticUserError, TypeAdapter, ValidationError
 
 from rfpp.ranges import Positive
 
@@ -21,10 +21,14 @@ _TYPES = {
     "h5.folder": str | None,
     "initial_weights": str | None,
     "mask": str | list[str] | None,
+    "max_megabytes": Annotated[float, Field(gt=0, le=1e6)],
+    "moving_seconds": Annotated[float, Field(gt=0, le=60)],
     "output": str | None,
+    "port": Annotated[int, Field(ge=0, le=65535)],
     "refining.initial": str | None,
     "refining.scenes": Positive | None,
     "registry.tracking_uri": str | None,
+    "resolution": Positive | tuple[Positive, Positive] | None,
     "sample": str | None,
     "scene": str | list[str],
     "slice.count": Positive,

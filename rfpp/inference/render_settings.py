@@ -7,23 +7,17 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import torch
 from pydantic import BeforeValidator, Field, field_validator
 
 from rfpp.errors import UserError
+from rfpp.inference.scene_settings import Index, SceneSettings, as_list
 from rfpp.ranges import Positive
 from rfpp.raycast.first_hit import CHANNELS
-from rfpp.scene.io.backdrop import Backdrop
-from rfpp.scene.io.loading import load_scene
 from rfpp.scene.packed import PackedScene
-from rfpp.scene.spec import Camera, Scene, Strict
+from rfpp.scene.spec import Camera, Scene
 
 #: Suffixes of `output` that make it a file instead of a folder.
 _FILES = (".exr", ".png", ".mp4")
-
-
-def _as_list(value: Any) -> Any:
-    return [value] if isinstance(value, str | int) else value
 
 
 def _as_square(value: Any) -> Any:
@@ -38,34 +32,23 @@ def _placed(camera: Mapping[str, Any]) -> dict[str, Any] | None:
     return {"look_at": (0.0, 0.0, 0.0), "fov": 40.0, **given} if given else None
 
 
-Index = Annotated[int, Field(ge=0)]
 Parts = Literal["together", "separate"]
 
 
-class RenderSettings(Strict):
+class RenderSettings(SceneSettings):
     """Settings of the same names as in conf/render/render.yaml. Raises UserError naming an invalid one."""
 
-    scene: Annotated[tuple[Path, ...], BeforeValidator(_as_list), Field(min_length=1)]
-    output: Path
+    scene: Annotated[tuple[Path, ...], BeforeValidator(as_list), Field(min_length=1)]
     resolution: Annotated[tuple[Positive, Positive] | None, BeforeValidator(_as_square)]
-    cameras: Annotated[tuple[Index, ...] | None, BeforeValidator(_as_list)]
+    cameras: Annotated[tuple[Index, ...] | None, BeforeValidator(as_list)]
     camera: Annotated[Camera | None, BeforeValidator(_placed)]
-    triangles: Positive | None
     detail: Index
-    up: Literal["y", "z"] | None
-    transparent: Literal["opaque", "drop", "refuse"]
-    backdrop: Backdrop
-    layers: Annotated[tuple[str, ...], BeforeValidator(_as_list)]
-    exposure: Annotated[float, Field(ge=-64, le=64)]
-    light_samples: Positive
-    supersampling: Positive
+    layers: Annotated[tuple[str, ...], BeforeValidator(as_list)]
     lights: Parts
     bounces: Parts
-    transports: Annotated[int, Field(ge=0, le=1024)] | None
     fps: Annotated[float, Field(gt=0, le=1000)]
     reference: bool
     reference_settings: str
-    device: str | None
 
     @field_validator("scene")
     @classmethod
@@ -84,34 +67,14 @@ class RenderSettings(Strict):
             raise ValueError(f"{list(layers)} repeats a name: give each once")
         return layers
 
-    @field_validator("device")
-    @classmethod
-    def _is_available(cls, device: str | None) -> str | None:
-        try:
-            torch.zeros(1, device=device or "cpu")
-        except (RuntimeError, AssertionError, NotImplementedError) as error:
-            reason = str(error).splitlines()[0]
-            raise UserError(f"device={device}: is not available ({reason}): give cpu, or null to choose") from None
-        return device
-
-    @classmethod
-    def parse(cls, values: Mapping[str, Any]) -> RenderSettings:
-        """Select and validate the settings in a configuration."""
-        return cls(**{name: values[name] for name in cls.model_fields})
-
     def load(self, scene: Path) -> Scene | PackedScene:
         """Load one of the scenes; `camera` replaces its cameras."""
-        loaded = load_scene(scene, **self.model_dump(include={"triangles", "detail", "up", "transparent", "backdrop"}))
+        loaded = super().load(scene)
         if self.camera is None:
             return loaded
         if isinstance(loaded, PackedScene):
             return loaded.seen_by([self.camera])
         return loaded.model_copy(update={"cameras": (self.camera,)})
-
-    @property
-    def sampling(self) -> dict[str, int | None]:
-        """Arguments of `Renderer.render` by name."""
-        return self.model_dump(include={"light_samples", "supersampling", "transports"})
 
     def single_camera(self) -> int:
         """Return the camera of an animation; the first by default. Raises UserError if there are several."""

@@ -14,6 +14,7 @@ from rfpp.checkpoint.loading import CHECKPOINT_KEY, CheckpointInfo, load_network
 from rfpp.checkpoint.model_card import model_card
 from rfpp.checkpoint.model_folder import write_folder
 from rfpp.errors import UserError
+from rfpp.inference.devices import available_device
 from rfpp.inference.engine import Engine, Image
 from rfpp.inference.network_engine import NetworkEngine
 from rfpp.inference.plan import Plan, image_size
@@ -70,9 +71,9 @@ class Renderer:
 
         Raises:
             CheckpointError: If it cannot be read, or holds an unknown model.
-            UserError: If there is no such precision.
+            UserError: If there is no such precision or device.
         """
-        device = torch.device(device or ("cuda" if torch.cuda.is_available() else "cpu"))
+        device = available_device(device)
         return cls(*load_network(checkpoint), device, matrix_dtype(precision, device))
 
     def fresh(self) -> Renderer:
