@@ -14,7 +14,7 @@ from pathlib import Path
 
 import torch
 from hydra.utils import instantiate
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig, ListConfig, OmegaConf
 from rich.console import Console
 
 from rfpp.commands import entry_point, write_config
@@ -46,7 +46,7 @@ def main(cfg: DictConfig) -> list[Evaluation]:
     console, device = Console(highlight=False), available_device(cfg.device)
     if OmegaConf.is_missing(cfg, "checkpoint"):
         raise UserError("checkpoint is not given: add checkpoint=<run folder>/checkpoints/best.ckpt")
-    given = [cfg.checkpoint] if isinstance(cfg.checkpoint, str) else list(cfg.checkpoint)
+    given = list(cfg.checkpoint) if isinstance(cfg.checkpoint, ListConfig) else [cfg.checkpoint]
     checkpoints = [checkpoint_file(name, cfg.registry.tracking_uri, Path(cfg.registry.folder)) for name in given]
     cache = instantiate(cfg.datamodule.source.cache)
     splits = [ShardSplit(cfg.data.root, name, cache) for name in cfg.evaluation.splits]

@@ -52,7 +52,7 @@ def main(cfg: DictConfig) -> Path:
         raise UserError(f"{path}: has no lights to solve for: add one")
     target, is_valid = _read_targets(chosen.target, chosen.mask or (), chosen.exposure)
 
-    file = checkpoint_file(str(cfg.checkpoint), cfg.registry.tracking_uri, Path(cfg.registry.folder))
+    file = checkpoint_file(cfg.checkpoint, cfg.registry.tracking_uri, Path(cfg.registry.folder))
     renderer = Renderer.load(file, chosen.device, cfg.precision)
     with console.status(f"Rendering {views.triangles.num_lights} lights separately …"):
         layers = renderer.render_lights(views, target.shape[1:3], **chosen.sampling)

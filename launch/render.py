@@ -167,9 +167,9 @@ class Command:
         return file
 
 
-def load(checkpoint: str, cfg: DictConfig) -> Renderer:
+def load(checkpoint: str | None, cfg: DictConfig) -> Renderer:
     """Load a checkpoint by its name on the command line."""
-    file = checkpoint_file(str(checkpoint), cfg.registry.tracking_uri, Path(cfg.registry.folder))
+    file = checkpoint_file(checkpoint, cfg.registry.tracking_uri, Path(cfg.registry.folder))
     return Renderer.load(file, cfg.device, cfg.precision)
 
 

@@ -27,7 +27,7 @@ def main(cfg: DictConfig) -> None:
     """Serve until Ctrl-C."""
     from rfpp.serve.server import Server  # needs an extra
 
-    checkpoint = checkpoint_file(str(cfg.checkpoint), cfg.registry.tracking_uri, Path(cfg.registry.folder))
+    checkpoint = checkpoint_file(cfg.checkpoint, cfg.registry.tracking_uri, Path(cfg.registry.folder))
     renderer = Renderer.load(checkpoint, cfg.device, cfg.precision)
     console = Console(highlight=False, soft_wrap=True)
     with Server(renderer, cfg.host, cfg.port, int(cfg.max_megabytes * 2**20), console.print) as server:

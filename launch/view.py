@@ -32,7 +32,7 @@ def main(cfg: DictConfig) -> None:
     """Serve the page until Ctrl-C."""
     from rfpp.viewer.server import Viewer  # needs an extra
 
-    checkpoint = checkpoint_file(str(cfg.checkpoint), cfg.registry.tracking_uri, Path(cfg.registry.folder))
+    checkpoint = checkpoint_file(cfg.checkpoint, cfg.registry.tracking_uri, Path(cfg.registry.folder))
     renderer = Renderer.load(checkpoint, cfg.device, cfg.precision)
     viewer = Viewer(
         renderer,

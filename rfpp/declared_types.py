@@ -11,13 +11,17 @@ from hydra.utils import get_object
 from omegaconf import DictConfig, OmegaConf
 from pydantic import ConfigDict, Field, PydanticUserError, TypeAdapter, ValidationError
 
-from rfpp.ranges import Positive
+from rfpp.ranges import NonNegative, Positive
 
 #: Types of settings that are no argument of a constructor, or one of Lightning's with a wider annotation.
 _TYPES = {
     "against": str | None,
     "checkpoint": str | list[str] | None,
     "device": str | None,
+    "evaluation.ablation_scenes": NonNegative,
+    "evaluation.baseline_scenes": Positive,
+    "evaluation.bootstrap.resamples": Positive,
+    "evaluation.splits": Annotated[list[str], Field(min_length=1)],
     "h5.folder": str | None,
     "initial_weights": str | None,
     "mask": str | list[str] | None,

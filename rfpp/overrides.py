@@ -10,10 +10,11 @@ from pathlib import Path
 from typing import Any
 
 import hydra
+from hydra.utils import get_object
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
 from rfpp.declared_types import declared_problem, is_argument
-from rfpp.errors import UserError
+from rfpp.errors import UserError, one_line
 
 #: Numbers in whose place a list may be given.
 _ONE_OR_MORE = ("resolution", "trainer.devices")
@@ -62,13 +63,24 @@ def _require(cfg: DictConfig, defaults: DictConfig, key: str) -> None:
             _require(cfg, defaults, f"{key}.{name}")
         return
     shown = "null" if value is None else value
+    if key.endswith("._target_"):
+        _require_importable(key, value)
     expected = _expected(before, value)
     if isinstance(before, str) and not isinstance(value, str) and not is_argument(cfg, key):
         expected = "text, quoted if it looks like a number,"
     if expected and not _is_exception(key, value):
         raise UserError(f"{key}={shown}: {expected} was expected; the default is {before}")
-    if value != _REPLACED.get(key) and (problem := declared_problem(cfg, key, before)):
+    is_replaced = key in _REPLACED and value == _REPLACED[key]
+    if not is_replaced and (problem := declared_problem(cfg, key, before)):
         raise UserError(f"{key}={shown}: {problem}")
+
+
+def _require_importable(key: str, name: Any) -> None:
+    try:
+        get_object(name)
+    except (ImportError, ValueError, TypeError, AttributeError) as error:
+        reason = one_line(str(error))
+        raise UserError(f"{key}={name}: {reason}: name a class or function, with its module") from None
 
 
 def names_setting(message: str, overrides: Sequence[str]) -> bool:

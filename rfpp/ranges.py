@@ -4,5 +4,6 @@ from typing import Annotated
 
 from pydantic import Field
 
+NonNegative = Annotated[int, Field(ge=0)]
 Positive = Annotated[int, Field(ge=1)]
 Share = Annotated[float, Field(ge=0, le=1)]

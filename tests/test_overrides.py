@@ -1,6 +1,7 @@
 """Nonsense for any setting of any command is refused in one line, and misspelled keys name what was meant."""
 
 import copy
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -106,3 +107,28 @@ def test_commands_end_with_one_line_and_the_status_of_wrong_usage(given, said):
     command = [sys.executable, "launch/train.py", "debug=cpu", given]
     done = subprocess.run(command, cwd=CONFIG_DIR.parent, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (2, f"error: {said}\n")
+
+
+@pytest.mark.parametrize(
+    ("command", "given", "said"),
+    [
+        ("train", "data.root=null", "valid string"),
+        ("train", "data.views=0", "greater than or equal to 1"),
+        ("train", "callbacks.checkpoints.keep=0", "greater than or equal to 1"),
+        ("train", "trainer.val_check_interval=0", "greater than or equal to 1"),
+        ("train", "optimizer._target_=nonsense", "name a class or function"),
+        ("evaluate", "evaluation.splits=[]", "at least 1 item"),
+        ("evaluate", "evaluation.bootstrap.resamples=0", "greater than or equal to 1"),
+        ("view", "moving_seconds=0", "greater than 0"),
+        ("view", "resolution=[]", "items|valid integer"),
+        ("serve/serve", "port=70000", "less than or equal to 65535"),
+        ("serve/serve", "max_megabytes=0", "greater than 0"),
+    ],
+)
+def test_values_without_a_meaning_are_refused(command, given, said):
+    folder = CONFIG_DIR / Path(command).parent
+    with initialize_config_dir(str(folder), version_base="1.3"):
+        defaults = defaults_of(Path(command).name, folder, [])
+        cfg = compose(Path(command).name, overrides=[given])
+    with pytest.raises(UserError, match=rf"{re.escape(given)}: .*({said})"):
+        require_valid(cfg, defaults, [given])

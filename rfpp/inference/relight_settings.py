@@ -7,7 +7,8 @@ from typing import Annotated
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from rfpp.inference.scene_settings import Index, SceneSettings, as_list
+from rfpp.inference.scene_settings import SceneSettings, as_list
+from rfpp.ranges import NonNegative
 
 Files = Annotated[tuple[Path, ...], BeforeValidator(as_list)]
 
@@ -17,7 +18,7 @@ class RelightSettings(SceneSettings):
 
     scene: Path
     target: Annotated[Files, Field(min_length=1)]
-    cameras: Annotated[tuple[Index, ...] | None, BeforeValidator(as_list)]
+    cameras: Annotated[tuple[NonNegative, ...] | None, BeforeValidator(as_list)]
     mask: Files | None
     colors: bool
 

@@ -10,8 +10,8 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, Field, field_validator
 
 from rfpp.errors import UserError
-from rfpp.inference.scene_settings import Index, SceneSettings, as_list
-from rfpp.ranges import Positive
+from rfpp.inference.scene_settings import SceneSettings, as_list
+from rfpp.ranges import NonNegative, Positive
 from rfpp.raycast.first_hit import CHANNELS
 from rfpp.scene.packed import PackedScene
 from rfpp.scene.spec import Camera, Scene
@@ -40,9 +40,9 @@ class RenderSettings(SceneSettings):
 
     scene: Annotated[tuple[Path, ...], BeforeValidator(as_list), Field(min_length=1)]
     resolution: Annotated[tuple[Positive, Positive] | None, BeforeValidator(_as_square)]
-    cameras: Annotated[tuple[Index, ...] | None, BeforeValidator(as_list)]
+    cameras: Annotated[tuple[NonNegative, ...] | None, BeforeValidator(as_list)]
     camera: Annotated[Camera | None, BeforeValidator(_placed)]
-    detail: Index
+    detail: NonNegative
     layers: Annotated[tuple[str, ...], BeforeValidator(as_list)]
     lights: Parts
     bounces: Parts

@@ -15,8 +15,6 @@ from rfpp.scene.io.loading import load_scene
 from rfpp.scene.packed import PackedScene
 from rfpp.scene.spec import Scene, Strict
 
-Index = Annotated[int, Field(ge=0)]
-
 
 def as_list(value: Any) -> Any:
     """Return a list for one name or number."""

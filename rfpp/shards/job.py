@@ -13,6 +13,7 @@ import numpy as np
 
 from rfpp.errors import SceneError, UserError
 from rfpp.files import is_plain_name
+from rfpp.ranges import NonNegative, Positive
 from rfpp.reference.cycles import CyclesSettings
 from rfpp.reference.labels import Labels, LabelSource
 from rfpp.scene.packed import poses
@@ -45,12 +46,12 @@ class DatasetSettings:
 
     name: str
     root: str
-    seed: int
-    resolution: int
-    views: int
-    light_samples: int
+    seed: NonNegative
+    resolution: Positive
+    views: Positive
+    light_samples: Positive
     splits: Mapping[str, int]
-    scenes_per_shard: int
+    scenes_per_shard: Positive
     acceptance: Acceptance
 
     def __post_init__(self) -> None:

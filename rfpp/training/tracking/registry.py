@@ -12,15 +12,19 @@ from rfpp.errors import CheckpointError, UserError
 FOLDER, CHECKPOINT = "model", "checkpoint.ckpt"
 
 
-def checkpoint_file(checkpoint: str, tracking_uri: str | None, folder: Path) -> str:
+def checkpoint_file(checkpoint: str | None, tracking_uri: str | None, folder: Path) -> str:
     """Resolve `models:/<name>/<version>` or `models:/<name>/latest` to a file. Other strings are returned unchanged.
 
     Args:
         folder: Folder to download to, as `registered/<name>/<version>/checkpoints`.
 
     Raises:
-        CheckpointError: If there is no such model, or it cannot be downloaded.
+        CheckpointError: If there is no such model, or it cannot be downloaded; if nothing is named.
     """
+    if not checkpoint:
+        raise CheckpointError(
+            "checkpoint: nothing is named: give a file of launch/train.py, a model folder or radiosity"
+        )
     if not checkpoint.startswith("models:/"):
         return checkpoint
     if not (parts := re.fullmatch(r"models:/([^/@]+)/(\d+|latest)", checkpoint)):

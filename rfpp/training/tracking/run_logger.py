@@ -13,6 +13,7 @@ from typing import Any
 from lightning.pytorch.loggers.logger import DummyLogger, Logger
 from lightning.pytorch.utilities import rank_zero_only
 
+from rfpp.errors import UserError
 from rfpp.files import write_atomically
 from rfpp.shards.manifest import Manifest
 from rfpp.training.tracking.description import code_changes, flattened, machine_tags, parameters
@@ -130,7 +131,10 @@ class RunLogger(Logger):
         self._end()
 
     def _relative(self, path: Path) -> str:
-        return str(Path(path).absolute().relative_to(self.run_dir.absolute()))
+        path, run_dir = Path(path).absolute(), self.run_dir.absolute()
+        if not path.is_relative_to(run_dir):
+            raise UserError(f"logger.run_dir: {path} is not in {run_dir}: set run_dir alone")
+        return str(path.relative_to(run_dir))
 
     def _write_table(self) -> None:
         table = metrics_table(record for record, _ in records(self.run_dir / JOURNAL))
