@@ -117,6 +117,8 @@ def test_commands_end_with_one_line_and_the_status_of_wrong_usage(given, said):
         ("train", "callbacks.checkpoints.keep=0", "greater than or equal to 1"),
         ("train", "trainer.val_check_interval=0", "greater than or equal to 1"),
         ("train", "optimizer._target_=nonsense", "name a class or function"),
+        ("train", "size.hidden=0", "greater than or equal to 1"),
+        ("train", "steps=0", "greater than or equal to 1"),
         ("evaluate", "evaluation.splits=[]", "at least 1 item"),
         ("evaluate", "evaluation.bootstrap.resamples=0", "greater than or equal to 1"),
         ("view", "moving_seconds=0", "greater than 0"),
