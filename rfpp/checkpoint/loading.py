@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+import zipfile
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ from torch import nn
 from rfpp.checkpoint.model_folder import CONFIG_FILE, folder_of, names_folder, read_folder
 from rfpp.checkpoint.network_building import build_network, require_fitting
 from rfpp.checkpoint.released_weights import released, with_folded_texture
-from rfpp.errors import CheckpointError
+from rfpp.errors import CheckpointError, one_line
 from rfpp.model.triangle_embedding import TriangleEmbedding
 
 #: Where a Lightning checkpoint keeps a `CheckpointInfo`.
@@ -23,6 +24,8 @@ SCHEMA_VERSION = 3
 #: The network's place in a Lightning state dict.
 NETWORK_PREFIX = "network."
 _LARGEST_SIDE = 1 << 14
+#: Bytes of a checkpoint beside its tensors; training `tiny` needs a 45th of them.
+_MAX_DESCRIPTION = 1 << 22
 #: What is known of the released RenderFormer; 512 pixels are its pipeline's default.
 RELEASED = {
     "resolution": (512, 512),
@@ -120,8 +123,15 @@ def _read_file(path: Path) -> tuple[CheckpointInfo, dict[str, torch.Tensor]]:
     state = content.get("state_dict")
     if not isinstance(state, dict) or not all(isinstance(x, torch.Tensor) for x in state.values()):
         raise CheckpointError(f"{path}: holds no weights: give a checkpoint written by launch/train.py")
+    if not all(map(_is_plain, state.values())):
+        raise CheckpointError(f"{path}: its weights are no plain tensors: give a checkpoint written by launch/train.py")
     weights = {k.removeprefix(NETWORK_PREFIX): v for k, v in state.items() if str(k).startswith(NETWORK_PREFIX)}
     return _info(content[CHECKPOINT_KEY], path), weights
+
+
+def _is_plain(tensor: torch.Tensor) -> bool:
+    is_dense = tensor.layout == torch.strided and not (tensor.is_nested or tensor.is_quantized)
+    return is_dense and tensor.device.type == "cpu"
 
 
 def read_checkpoint(path: Path, **how: Any) -> dict[str, Any]:
@@ -134,6 +144,7 @@ def read_checkpoint(path: Path, **how: Any) -> dict[str, Any]:
     Raises:
         CheckpointError: If it cannot be read, holds more than tensors and plain values, or is not of this project.
     """
+    _require_small_description(path)
     try:
         content = torch.load(path, map_location="cpu", weights_only=True, **how)
     except Exception as error:  # a stranger's file: pickle, zip and tensors fail in many ways
@@ -144,6 +155,22 @@ def read_checkpoint(path: Path, **how: Any) -> dict[str, Any]:
     if not isinstance(content, dict) or CHECKPOINT_KEY not in content:
         raise CheckpointError(f"{path}: not a checkpoint of this project: give one written by launch/train.py")
     return content
+
+
+def _require_small_description(path: Path) -> None:
+    """Raise CheckpointError if the part of a file that becomes Python objects, all but its tensors, is too large."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            size = sum(entry.file_size for entry in archive.infolist() if entry.filename.endswith(".pkl"))
+    except (zipfile.BadZipFile, NotImplementedError, ValueError, OSError) as error:
+        raise CheckpointError(
+            f"{path}: cannot be read as a checkpoint ({one_line(str(error))}): copy it again"
+        ) from None
+    if size > _MAX_DESCRIPTION:
+        raise CheckpointError(
+            f"{path}: {size:,} bytes describe its tensors, the limit is {_MAX_DESCRIPTION:,}: give a checkpoint "
+            "written by launch/train.py"
+        )
 
 
 def _info(about: Any, path: Path) -> CheckpointInfo:

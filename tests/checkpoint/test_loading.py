@@ -133,6 +133,29 @@ def test_a_description_that_does_not_fit_is_refused(tmp_path, changes, message):
     assert message in refusal(tmp_path / "a.ckpt")
 
 
+@pytest.mark.filterwarnings("ignore")  # of PyTorch, about kinds of tensors
+@pytest.mark.parametrize("kind", ["sparse", "meta", "quantized", "nested"])
+def test_weights_that_are_not_plain_are_refused(tmp_path, kind):
+    tensor = {
+        "sparse": lambda: torch.eye(3).to_sparse(),
+        "meta": lambda: torch.empty(3, device="meta"),
+        "quantized": lambda: torch.quantize_per_tensor(torch.ones(3), 0.1, 0, torch.quint8),
+        "nested": lambda: torch.nested.nested_tensor([torch.ones(2), torch.ones(3)]),
+    }[kind]()
+    content = {CHECKPOINT_KEY: checkpoint_info().to_dict(), "state_dict": {"network.weight": tensor}}
+    torch.save(content, tmp_path / "a.ckpt")
+    with pytest.raises(CheckpointError, match=r"a\.ckpt: (its weights are no plain tensors|cannot be read)"):
+        load_network(tmp_path / "a.ckpt")
+
+
+def test_a_list_of_millions_is_refused_before_it_is_made(tmp_path):
+    torch.save(
+        {CHECKPOINT_KEY: checkpoint_info().to_dict(), "state_dict": {}, "list": [[]] * 5_000_000}, tmp_path / "a"
+    )
+    with pytest.raises(CheckpointError, match="bytes describe its tensors, the limit is 4,194,304"):
+        load_network(tmp_path / "a")
+
+
 @pytest.mark.parametrize("state", [None, 7, [1], {"network.a": 3}])
 def test_weights_that_are_none_are_refused(tmp_path, state):
     torch.save({CHECKPOINT_KEY: checkpoint_info().to_dict(), "state_dict": state}, tmp_path / "a.ckpt")

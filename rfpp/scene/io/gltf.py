@@ -72,6 +72,7 @@ def load_gltf_meshes(path: Path) -> tuple[Mesh, ...]:
 
 def _scene(file: GltfFile, path: Path, detail: int, most: int | None = None) -> ImportedScene:
     reader = _Reader(file)
+    require_bounded(0, sum(map(reader.primitives, reader.poses)))
     reader.textures.require_few_pixels()
     unfinished, punctual_lights, cameras = [], [], []
     with np.errstate(all="ignore"):  # results that are infinite or NaN are refused
@@ -94,6 +95,11 @@ class _Reader:
         self.left_out: dict[str, None] = dict.fromkeys(["animations"] if self.document.items("animations") else [])
         self._materials_left_out: set[str] = set()
         self._triangles = self._parts = 0
+
+    def primitives(self, index: int) -> int:
+        """Return the number of a node's primitives."""
+        mesh = self.file.linked(self._node(index), "mesh", "meshes")
+        return len(mesh.items("primitives")) if mesh else 0
 
     def placed(self, index: int) -> Iterator[tuple[Entry, Geometry, Float[np.ndarray, "v 3"]]]:
         """Yield each primitive of a node that has faces, with its geometry and its vertices in the world."""
@@ -211,11 +217,10 @@ class _Reader:
 def _matrix(node: Entry) -> Float[np.ndarray, "4 4"]:
     if "matrix" in node:
         return np.reshape(node.get("matrix", MATRIX), (4, 4)).T
-    rotation = node.get("rotation", QUATERNION, (0, 0, 0, 1))
-    if not np.linalg.norm(rotation) > 0:
-        rotation = (0, 0, 0, 1)
     matrix = np.eye(4)
-    matrix[:3, :3] = Rotation.from_quat(rotation).as_matrix() * node.get("scale", VECTOR, (1, 1, 1))
+    if "rotation" in node and np.linalg.norm(rotation := node.get("rotation", QUATERNION)) > 0:
+        matrix[:3, :3] = Rotation.from_quat(rotation).as_matrix()
+    matrix[:3, :3] *= node.get("scale", VECTOR, (1, 1, 1))
     matrix[:3, 3] = node.get("translation", VECTOR, (0, 0, 0))
     return matrix
 

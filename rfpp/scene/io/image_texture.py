@@ -21,7 +21,8 @@ _MAX_PIXELS = 8192 * 8192
 _MAX_PIXELS_OF_A_FILE = 2**28  # 16 pictures of 4096²
 _SIDE_KEPT = 1024  # pixels along the longer side; 11 MB with all coarser copies
 _KEPT = 32  # pictures
-_STRIP = 2**17  # pixels that are reduced at a time
+_TILE = 2**17  # pixels that are reduced at a time
+_SLICES = 32  # slices of pixels that are added one by one
 _SIDE = 6  # cells along a triangle's side: 36 equal parts, each looked up at its center
 _CHUNK = 50_000  # triangles at a time: 45 MB
 
@@ -96,7 +97,7 @@ def require_few_pixels(files: Iterable[io.BufferedIOBase]) -> None:
     """Close image files; raise SceneError if their headers name too many pixels together."""
     pixels = 0
     for file in files:
-        with file, contextlib.suppress(OSError, Image.DecompressionBombError):  # no image: refused when it is read
+        with file, contextlib.suppress(Exception):  # no image: refused when it is read
             image = _opened(file)
             pixels += image.width * image.height
         if pixels > _MAX_PIXELS_OF_A_FILE:
@@ -111,7 +112,7 @@ def linear(srgb: np.ndarray) -> np.ndarray:
 def _mip_map(level: Float[np.ndarray, "h w 4"]) -> list[np.ndarray]:
     levels = [level.astype(np.float16)]
     while min(level.shape[:2]) > 1:
-        level = _reduced(level, 2)
+        level = _reduced(level, 2, 2)
         levels.append(level.astype(np.float16))
     return levels
 
@@ -165,11 +166,17 @@ def _pixels(content: bytes, color: bool, left: int) -> tuple[Float[np.ndarray, "
         raise SceneError("cannot be read as an image: save it as PNG, JPEG or WebP") from None
     width, height = image.size
     step = -(-max(width, height) // _SIDE_KEPT)
-    rows = max(1, _STRIP // width // step) * step  # by strips, which fit into the processor's cache
-    strips = []
-    for top in range(0, height, rows):
-        strip = image.crop((0, top, width, min(top + rows, height)))
-        strips.append(_reduced(_decoded(np.asarray(strip.convert("RGBA")), color), step))
+    down, across = min(step, height), min(step, width)
+    columns = min(max(1, _TILE // down // across) * across, width)  # by tiles, which fit into the processor's cache
+    rows = max(1, _TILE // columns // down) * down
+
+    def tile(top: int, left: int) -> Float[np.ndarray, "h w 4"]:
+        part = image.crop((left, top, min(left + columns, width), min(top + rows, height)))
+        return _reduced(_decoded(np.asarray(part.convert("RGBA")), color), down, across)
+
+    strips = [
+        np.concatenate([tile(top, left) for left in range(0, width, columns)], 1) for top in range(0, height, rows)
+    ]
     return np.concatenate(strips), width * height
 
 
@@ -189,12 +196,19 @@ def _decoded(values: np.ndarray, color: bool) -> np.ndarray:
     return decoded
 
 
-def _reduced(pixels: np.ndarray, step: int) -> np.ndarray:
-    """Average blocks of step × step pixels; the last row and column are repeated to complete theirs."""
-    if step == 1:
+def _reduced(pixels: np.ndarray, down: int, across: int) -> np.ndarray:
+    """Average blocks of down × across pixels; the last row and column are repeated to complete theirs."""
+    if down == across == 1:
         return pixels
     height, width = pixels.shape[:2]
-    if height % step or width % step:
-        pixels = np.pad(pixels, ((0, -height % step), (0, -width % step), (0, 0)), mode="edge")
-    rows = sum(pixels[i::step] for i in range(step))  # whole rows lie together in memory; blocks do not
-    return sum(rows[:, i::step] for i in range(step)) * np.float32(step**-2)
+    if height % down or width % across:
+        pixels = np.pad(pixels, ((0, -height % down), (0, -width % across), (0, 0)), mode="edge")
+    rows = _sums(pixels, down)
+    return _sums(rows.swapaxes(0, 1), across).swapaxes(0, 1) * np.float32(1 / (down * across))
+
+
+def _sums(rows: np.ndarray, count: int) -> np.ndarray:
+    """Return the sums of every `count` rows, in slices while these are few: whole rows lie together in memory."""
+    if count > _SLICES:
+        return np.add.reduceat(rows, np.arange(0, len(rows), count), axis=0)
+    return sum(rows[i::count] for i in range(count))

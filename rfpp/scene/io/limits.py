@@ -6,6 +6,7 @@ Counts, offsets and names of other files in a file are checked before anything i
 from __future__ import annotations
 
 import json
+import os
 import re
 import stat
 import zipfile
@@ -24,6 +25,9 @@ MAX_JSON_BYTES = 2**25
 MAX_TRIANGLES = 3_000_000
 #: Limits of list entries that become Python objects, and of parts of a scene.
 MAX_ENTRIES, MAX_PARTS = 100_000, 20_000
+
+#: Limits of file systems for the bytes of a path and of its parts.
+_MAX_PATH, _MAX_NAME = 4000, 255
 
 #: Errors of zipfile for damaged, encrypted and unusually compressed archives.
 _BAD_ZIP = (zipfile.BadZipFile, NotImplementedError, RuntimeError, ValueError, EOFError)
@@ -90,13 +94,15 @@ def beside(folder: Path, name: str) -> Path:
     Symbolic links are followed: the owner of the folder creates them, not the files in it.
 
     Raises:
-        SceneError: If the name is a URL, an absolute path, or leads out of the folder.
+        SceneError: If the name is a URL, an absolute path, too long for one, or leads out of the folder.
     """
     parts = name.replace("\\", "/").split("/")
     if re.match(r"[A-Za-z][A-Za-z0-9+.-]+:", name) or not name.isprintable():
         raise SceneError(f"'{one_line(name)}' is not a file path: put the file beside this one and name it")
     if not parts[0] or parts[0].endswith(":") or ".." in parts:
         raise SceneError(f"'{name}' leads out of the file's folder: copy it there and give its path relative to it")
+    if len(os.fsencode(folder / name)) > _MAX_PATH or max(len(os.fsencode(part)) for part in parts) > _MAX_NAME:
+        raise SceneError(f"'{one_line(name, 40)}' is too long for a file path: shorten it")
     return folder.joinpath(*parts)
 
 

@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 from rfpp.errors import SceneError
-from rfpp.scene.io.image_texture import ImageTexture, Textures
+from rfpp.scene.io.image_texture import ImageTexture, Textures, require_few_pixels
 
 
 def png(pixels: np.ndarray) -> bytes:
@@ -86,4 +86,22 @@ def claiming(width: int, height: int) -> bytes:
 )
 def test_what_is_no_image_or_an_absurd_one_is_refused(content: bytes, message: str) -> None:
     with pytest.raises(SceneError, match=message):
+        ImageTexture(content, color=True)
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_a_very_long_image_has_the_mean_of_its_pixels(turned: bool) -> None:
+    shades = np.random.default_rng(0).integers(0, 256, (1, 300_001, 3), np.uint8)
+    texture = ImageTexture(png(shades.swapaxes(0, 1) if turned else shades), color=False)
+    whole = np.array([[[0, 0], [1, 0], [0, 1]], [[1, 1], [0, 1], [1, 0]]], np.float64)
+    np.testing.assert_allclose(texture.means(whole)[:, :3].mean(0), shades.mean((0, 1)) / 255, atol=0.01)
+
+
+def test_a_bomb_in_a_text_chunk_is_no_image() -> None:
+    text = b"note\0\0" + zlib.compress(bytes(80_000_000), 9)
+    chunk = struct.pack(">I", len(text)) + b"zTXt" + text + struct.pack(">I", zlib.crc32(b"zTXt" + text))
+    content = png(halves(8))
+    content = content[:33] + chunk + content[33:]  # after the header
+    require_few_pixels([io.BytesIO(content)])
+    with pytest.raises(SceneError, match="cannot be read as an image"):
         ImageTexture(content, color=True)

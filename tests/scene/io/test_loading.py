@@ -203,9 +203,9 @@ MANY = {
     "materials.obj": (b"mtllib many.mtl\n" + b"v 0 0 0\n" * 3 + b"f 1 2 3\n",
                       r"many\.mtl: line 20001: more than 20,000 parts"),
     "objects.json": (b'{"version": "1.0", "objects": {' + b",".join(b'"%d": {}' % i for i in range(20_001)) + b"}}",
-                     "objects: .* at most 20000"),
+                     "objects: 20,001 are more than 20,000"),
     "cameras.json": (b'{"version": "1.0", "objects": {}, "cameras": [' + b"{}," * 30_000 + b"{}]}",
-                     "cameras: .* at most 20000"),
+                     "cameras: 30,001 are more than 20,000"),
 }  # fmt: skip
 
 

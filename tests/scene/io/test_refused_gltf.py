@@ -108,6 +108,8 @@ def test_what_cannot_be_represented_or_is_damaged_is_refused_by_name(case: str, 
         ("short.bin", "3 of 140 bytes are there"),
         (".", "not a regular file"),
         ("a\0b", "is not a file path"),
+        ("x" * 300, "is too long for a file path"),
+        ("xy/" * 2000, "is too long for a file path"),
     ],
 )
 def test_buffers_lie_beside_the_file_and_are_whole(uri: str, message: str, tmp_path: Path) -> None:
