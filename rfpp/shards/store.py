@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import stat
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -30,6 +31,8 @@ _PAUSES = (0.5, 2.0, 8.0)
 #: Bytes per second that a server must send, after seconds in which it may be slower.
 _MIN_RATE, _GRACE = 50_000, 20.0
 _NO_SPACE = (errno.ENOSPC, errno.EDQUOT)
+#: Limit of manifests and indices in bytes.
+_MAX_BYTES = 2**28
 
 
 @dataclass(frozen=True)
@@ -40,7 +43,7 @@ class FolderStore:
 
     def read(self, file: str) -> bytes:
         """Read a small file without a known size or hash. Raises OSError."""
-        return (self.root / file).read_bytes()
+        return _content(self.root / file)
 
     def require(self, shard: Shard) -> Path:
         """Return the tar's path. Raises ShardError if the tar is missing or has another size."""
@@ -65,7 +68,7 @@ class FolderStore:
         """Read the index of a shard. Raises ShardError if it is missing."""
         path = self.root / shard.index_file
         try:
-            return path.read_bytes()
+            return _content(path)
         except OSError as error:
             raise ShardError(f"{path}: the index cannot be read ({error.strerror}): {self.remedy(shard)}") from error
 
@@ -168,6 +171,16 @@ class _MinimumRate(Callback):
         seconds = time.monotonic() - self._begin
         if seconds > _GRACE and self.value < _MIN_RATE * seconds:
             raise _SlowError(f"slower than {_MIN_RATE:,} bytes per second")
+
+
+def _content(path: Path) -> bytes:
+    """Read a regular file of bounded size. Raises OSError."""
+    status = path.stat()
+    if not stat.S_ISREG(status.st_mode):
+        raise OSError(errno.EINVAL, "not a regular file")
+    if status.st_size > _MAX_BYTES:
+        raise OSError(errno.EFBIG, f"more than {_MAX_BYTES:,} bytes")
+    return path.read_bytes()
 
 
 def _time_limits(url: str) -> dict[str, Any]:

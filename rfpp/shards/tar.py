@@ -25,10 +25,13 @@ def unpack(blocks: bytes) -> tuple[str, dict[str, bytes]]:
     """Return the key and the members in one sample's blocks. Raises tarfile.TarError for invalid blocks."""
     members: dict[str, bytes] = {}
     key = ""
-    with tarfile.open(fileobj=io.BytesIO(blocks)) as archive:
-        for entry in archive:
-            if not entry.isfile():
-                raise tarfile.TarError(f"{entry.name} is not a plain file")
-            key, _, member = entry.name.partition(".")
-            members[member] = archive.extractfile(entry).read()
+    try:
+        with tarfile.open(fileobj=io.BytesIO(blocks)) as archive:
+            for entry in archive:
+                if not entry.isfile() or entry.issparse():
+                    raise tarfile.TarError(f"{entry.name} is not a plain file")
+                key, _, member = entry.name.partition(".")
+                members[member] = archive.extractfile(entry).read()
+    except (RecursionError, ValueError, OverflowError) as error:  # of tarfile, for absurd headers
+        raise tarfile.TarError(f"its header is damaged: {error}") from None
     return key, members

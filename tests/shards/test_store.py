@@ -241,3 +241,32 @@ def test_a_link_in_a_tar_is_refused():
     entry.type, entry.linkname = tarfile.SYMTYPE, "/etc/passwd"
     with pytest.raises(tarfile.TarError, match="not a plain file"):
         unpack(entry.tobuf(tarfile.USTAR_FORMAT))
+
+
+def test_a_sparse_file_in_a_tar_is_refused_before_it_is_filled():
+    entry = tarfile.TarInfo("train-000001.meta.json")
+    entry.type = tarfile.GNUTYPE_SPARSE
+    header = bytearray(entry.tobuf(tarfile.GNU_FORMAT))
+    header[386:398], header[398:410], header[483:495] = b"00000000000\0", b"00000000001\0", b"77777777777\0"
+    header[148:156] = b"%06o\0 " % (sum(header[:148]) + 8 * 32 + sum(header[156:512]))
+    with pytest.raises(tarfile.TarError, match="not a plain file"):
+        unpack(bytes(header) + bytes(1024))
+
+
+def test_names_that_lead_to_names_without_end_are_refused():
+    entry = tarfile.TarInfo("././@LongLink")
+    entry.type, entry.size = tarfile.GNUTYPE_LONGNAME, 10
+    with pytest.raises(tarfile.TarError, match="header is damaged"):
+        unpack((entry.tobuf(tarfile.GNU_FORMAT) + b"a".ljust(512, b"\0")) * 2000)
+
+
+def test_a_pipe_in_place_of_an_index_or_a_manifest_is_refused(finished, tmp_path):
+    root = Path(shutil.copytree(finished.root, tmp_path / "data"))
+    (root / "train-00000.json").unlink()
+    os.mkfifo(root / "train-00000.json")
+    with pytest.raises(ShardError, match=r"train-00000\.json: the index cannot be read \(not a regular file\)"):
+        ShardSplit(root, "train")[0]
+    (root / "manifest.json").unlink()
+    os.mkfifo(root / "manifest.json")
+    with pytest.raises(ShardError, match="there is no finished data set here"):
+        ShardSplit(root, "train")

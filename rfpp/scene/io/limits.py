@@ -6,10 +6,12 @@ Counts, offsets and names of other files in a file are checked before anything i
 from __future__ import annotations
 
 import json
+import lzma
 import os
 import re
 import stat
 import zipfile
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +32,9 @@ MAX_ENTRIES, MAX_PARTS = 100_000, 20_000
 _MAX_PATH, _MAX_NAME = 4000, 255
 
 #: Errors of zipfile for damaged, encrypted and unusually compressed archives.
-_BAD_ZIP = (zipfile.BadZipFile, NotImplementedError, RuntimeError, ValueError, EOFError)
+_BAD_ZIP = (
+    zipfile.BadZipFile, NotImplementedError, RuntimeError, ValueError, EOFError, zlib.error, lzma.LZMAError,
+)  # fmt: skip
 
 
 def read_bytes(path: Path, limit: int = MAX_BYTES, smaller: str = "make it smaller") -> bytes:
@@ -52,6 +56,8 @@ def read_bytes(path: Path, limit: int = MAX_BYTES, smaller: str = "make it small
 
 def read_member(path: Path, name: str, limit: int) -> bytes:
     """Read a file in a zip archive. Raises SceneError if it is missing, damaged or larger than `limit` bytes."""
+    if path.exists() and not path.is_file():
+        raise SceneError(f"{path}: is not a regular file: correct the path")
     try:
         with zipfile.ZipFile(path) as archive, archive.open(name) as member:
             content = member.read(limit + 1)

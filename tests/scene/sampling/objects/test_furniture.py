@@ -1,4 +1,5 @@
 import json
+import os
 import zipfile
 
 import numpy as np
@@ -140,3 +141,21 @@ def test_sources_are_mixed_by_their_shares(tmp_path):
         MixedObjects({"furniture": furniture}, {"solids": 1.0})
     with pytest.raises(SceneError, match="not all of them 0"):
         MixedObjects({"solids": solids}, {"solids": 0.0})
+
+
+@pytest.mark.parametrize("method", [zipfile.ZIP_DEFLATED, zipfile.ZIP_LZMA, zipfile.ZIP_BZIP2])
+def test_damaged_streams_are_refused_in_one_line(tmp_path, method):
+    with zipfile.ZipFile(tmp_path / "a.zip", "w", method) as made:
+        made.writestr("a.obj", bytes(range(256)) * 400)
+        place = made.getinfo("a.obj").header_offset + 30 + len("a.obj")
+    content = bytearray((tmp_path / "a.zip").read_bytes())
+    content[place + 12 : place + 60] = b"\xff" * 48
+    (tmp_path / "a.zip").write_bytes(content)
+    with pytest.raises(SceneError, match=r"a\.zip: .*(cannot be unpacked|cannot be read)"):
+        read_member(tmp_path / "a.zip", "a.obj", 2**20)
+
+
+def test_a_pipe_is_no_archive(tmp_path):
+    os.mkfifo(tmp_path / "a.zip")
+    with pytest.raises(SceneError, match="is not a regular file"):
+        read_member(tmp_path / "a.zip", "a.obj", 100)
