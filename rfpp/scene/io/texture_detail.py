@@ -149,13 +149,14 @@ def with_detail(parts: Sequence[Part | TexturedPart], detail: int, most: int | N
     at_first = room = max(0, detail if most is None else min(detail, most - total)) // 3
     result = list(parts)
     textured = [index for index, part in enumerate(parts) if isinstance(part, TexturedPart)]
-    area = sum(parts[index].pieces.areas.sum() for index in textured)
-    while room:
-        errors = {index: result[index].errors(room) for index in textured}
+    varied = [index for index in textured if (parts[index].spread > _ALIKE).any()]
+    area = sum(parts[index].pieces.areas.sum() for index in textured) if varied else 0
+    while varied and room:
+        errors = {index: result[index].errors(room) for index in varied}
         largest = max((each.max(initial=0) for each in errors.values()), default=0)
         if not largest > _SMALL * area:
             break
-        for index in sorted(textured, key=lambda index: -errors[index].max(initial=0)):
+        for index in sorted(varied, key=lambda index: -errors[index].max(initial=0)):
             chosen = errors[index] >= _SHARE * largest
             if chosen.sum() > room:
                 if result[index].part.smooth:
