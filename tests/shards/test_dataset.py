@@ -1,4 +1,4 @@
-"""Reading one or several data sets: by plain WebDataset and by index; damage is named."""
+"""Reading one or several data sets: by plain WebDataset, by wids and by index; damage is named."""
 
 import json
 import re
@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import webdataset
+import wids
 from small_data import make
 
 from rfpp.errors import ShardError
@@ -34,6 +35,18 @@ def test_plain_webdataset_reads_the_same_samples(finished):
     for i in range(len(ours)):
         np.testing.assert_array_equal(plain[ours.key(i)].images, ours[i].images)
         np.testing.assert_array_equal(plain[ours.key(i)].gbuffers[1].depth, ours[i].gbuffers[1].depth)
+
+
+def test_wids_reads_the_same_samples(finished, tmp_path):
+    split, tars = ShardSplit(finished.root, "train"), sorted(finished.root.glob("train-*.tar"))
+    counts = [len(json.loads(tar.with_suffix(".json").read_bytes())["samples"]) for tar in tars]
+    listed = [{"url": str(tar), "nsamples": count} for tar, count in zip(tars, counts, strict=True)]
+    read = wids.ShardListDataset(listed, cache_dir=str(tmp_path), keep=True, transformations=[])
+    assert len(read) == len(split)
+    for i in range(len(split)):
+        members = {name[1:]: data.read() for name, data in read[i].items() if not name.startswith("__")}
+        assert read[i]["__key__"] == split.key(i)
+        np.testing.assert_array_equal(decode(split.key(i), members).images, split[i].images)
 
 
 def test_the_documented_webdataset_example_reads_the_same_images(finished):
