@@ -34,7 +34,7 @@ class DivergenceError(UserError):
             f"step {step}: training has diverged: go back with checkpoint=<run_dir>/checkpoints/step-….ckpt, and "
             "resume with a smaller optimizer.lr or with roll_backs=1"
         )
-        self.step, self.steps = step, steps
+        self.steps = steps
 
 
 class DivergenceAlarm(L.Callback):
