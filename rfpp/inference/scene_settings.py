@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import Field, field_validator
 
@@ -14,6 +14,8 @@ from rfpp.scene.io.backdrop import Backdrop
 from rfpp.scene.io.loading import load_scene
 from rfpp.scene.packed import PackedScene
 from rfpp.scene.spec import Scene, Strict
+
+Settings = TypeVar("Settings", bound="SceneSettings")
 
 
 def as_list(value: Any) -> Any:
@@ -42,7 +44,7 @@ class SceneSettings(Strict):
         return device
 
     @classmethod
-    def parse(cls, values: Mapping[str, Any]) -> Self:
+    def parse(cls: type[Settings], values: Mapping[str, Any]) -> Settings:
         """Select and validate the settings in a configuration."""
         return cls(**{name: values[name] for name in cls.model_fields})
 
