@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 import math
 from dataclasses import is_dataclass
-from typing import Annotated, Any, get_type_hints
+from typing import Annotated, Any, Literal, get_type_hints
 
 from hydra.utils import get_object
 from omegaconf import DictConfig, OmegaConf
@@ -17,6 +17,7 @@ from rfpp.ranges import NonNegative, Positive
 _TYPES = {
     "against": str | None,
     "checkpoint": str | list[str] | None,
+    "datamodule.augmentation.color": dict[Literal["_target_"], str] | None,
     "device": str | None,
     "evaluation.ablation_scenes": NonNegative,
     "evaluation.baseline_scenes": Positive,

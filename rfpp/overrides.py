@@ -77,10 +77,11 @@ def _require(cfg: DictConfig, defaults: DictConfig, key: str) -> None:
 
 def _require_importable(key: str, name: Any) -> None:
     try:
-        get_object(name)
+        reason = "" if callable(get_object(name)) else "cannot be called"
     except (ImportError, ValueError, TypeError, AttributeError) as error:
         reason = one_line(str(error))
-        raise UserError(f"{key}={name}: {reason}: name a class or function, with its module") from None
+    if reason:
+        raise UserError(f"{key}={name}: {reason}: name a class or function, with its module")
 
 
 def names_setting(message: str, overrides: Sequence[str]) -> bool:

@@ -26,8 +26,7 @@ WIDER = {"callbacks.checkpoints.every_n_minutes": ["null"], "callbacks.divergenc
 
 #: Settings without a default whose type is not known before the command, or a group, has read them.
 CHECKED_BY_THE_COMMAND = {"triangles", "up", "cameras", "camera.position", "camera.look_at", "camera.fov", "transports",
-                          "benchmark.training.loss", "benchmark.training.optimizer",
-                          "datamodule.augmentation.color"}  # fmt: skip
+                          "benchmark.training.loss", "benchmark.training.optimizer"}  # fmt: skip
 
 
 def leaves(settings, prefix=""):
@@ -117,6 +116,8 @@ def test_commands_end_with_one_line_and_the_status_of_wrong_usage(given, said):
         ("train", "callbacks.checkpoints.keep=0", "greater than or equal to 1"),
         ("train", "trainer.val_check_interval=0", "greater than or equal to 1"),
         ("train", "optimizer._target_=nonsense", "name a class or function"),
+        ("train", "datamodule.augmentation.color=3", "valid dictionary"),
+        ("train", "optimizer._target_=torch.optim", "cannot be called"),
         ("train", "size.hidden=0", "greater than or equal to 1"),
         ("train", "steps=0", "greater than or equal to 1"),
         ("evaluate", "evaluation.splits=[]", "at least 1 item"),
