@@ -114,6 +114,7 @@ def test_commands_end_with_one_line_and_the_status_of_wrong_usage(given, said):
         ("train", "data.root=null", "valid string"),
         ("train", "data.views=0", "greater than or equal to 1"),
         ("train", "callbacks.checkpoints.keep=0", "greater than or equal to 1"),
+        ("train", "callbacks.watchdog.minutes=2000000.0", "less than or equal to"),
         ("train", "trainer.val_check_interval=0", "greater than or equal to 1"),
         ("train", "optimizer._target_=nonsense", "name a class or function"),
         ("train", "datamodule.augmentation.color=3", "valid dictionary"),

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import faulthandler
 import sys
-from typing import Any
+from typing import Annotated, Any
 
 import lightning as L
+from pydantic import Field
 
 
 class Watchdog(L.Callback):
@@ -16,7 +17,7 @@ class Watchdog(L.Callback):
     any checkpoint, compilation or batch takes.
     """
 
-    def __init__(self, minutes: float):
+    def __init__(self, minutes: Annotated[float, Field(gt=0, le=1e6)]):
         self.seconds = 60 * minutes
 
     def _restart(self, *_: Any) -> None:
