@@ -26,5 +26,6 @@ class RelightSettings(SceneSettings):
     def _fit(self) -> RelightSettings:
         for name, given in (("cameras", self.cameras), ("mask", self.mask)):
             if given is not None and len(given) != len(self.target):
-                raise ValueError(f"target: {len(self.target)} pictures and {len(given)} {name}: give one for each")
+                listed = ", ".join(map(str, given))
+                raise ValueError(f"target: {len(self.target)} pictures for {name}={listed}: give one for each")
         return self
