@@ -125,10 +125,9 @@ def _undivided(triangles: SceneTriangles) -> Bool[np.ndarray, " o"]:
     first = triangles.object_offsets[:-1]
     if len(first) <= CROWD:
         return np.zeros(len(first), np.bool_)
-    reach = np.maximum.reduceat(triangles.positions.max(1), first) - np.minimum.reduceat(
-        triangles.positions.min(1), first
-    )
-    small: np.ndarray = np.linalg.norm(reach, axis=-1) < CELL_EDGE
+    low = np.minimum.reduceat(triangles.positions.min(1), first)
+    high = np.maximum.reduceat(triangles.positions.max(1), first)
+    small: np.ndarray = np.linalg.norm(high - low, axis=-1) < CELL_EDGE
     return small
 
 

@@ -20,8 +20,7 @@ from training_runs import SETTINGS, differing, finish, output, start, train, wai
 from rfpp.commands import CONFIG_DIR
 from rfpp.training.callbacks.divergence import WINDOW
 from rfpp.training.checkpoint_files import step_file, step_files
-from rfpp.training.rollback import continues_job, leave_out, left_out_steps
-from rfpp.training.tracking.journal import JOURNAL, RUN_FILE, Journal, records
+from rfpp.training.tracking.journal import JOURNAL, RUN_FILE, records
 from rfpp.training.tracking.mlflow_run import store_uri
 
 STEPS = 10
@@ -215,24 +214,6 @@ def test_a_run_that_diverges_goes_back_and_leaves_out_where_it_began(folder, dat
     assert [bool((a == b).all()) for a, b in pairwise(at)] == [True, True, False]
     left = step_file(run_dir / "rolled_back" / "1" / "checkpoints", WINDOW + 1)
     assert (weights(torch.load(left, weights_only=True)) != at[2]).any()
-
-
-def test_a_run_without_an_earlier_checkpoint_does_not_go_back(tmp_path, uninterrupted):
-    shutil.copytree(uninterrupted["fp32"] / "checkpoints", tmp_path / "checkpoints", symlinks=True)
-    assert leave_out(tmp_path, range(1, 3)) is None
-    assert left_out_steps(tmp_path) == []
-    damage = step_file(tmp_path / "checkpoints", STEPS - 1)
-    damage.write_bytes(damage.read_bytes()[:-100])
-    assert leave_out(tmp_path, range(STEPS, STEPS + 1)) == step_file(tmp_path / "checkpoints", STEPS - 2)
-    assert left_out_steps(tmp_path) == [range(STEPS, STEPS + 1)]
-
-
-def test_a_requeued_job_does_not_go_back_again(tmp_path, monkeypatch):
-    Journal(tmp_path / JOURNAL).append("tags", values={"slurm_job_id": "7"})
-    for restarts, job, expected in (("0", "7", False), ("1", "7", True), ("1", "8", False)):
-        monkeypatch.setenv("SLURM_RESTART_COUNT", restarts)
-        monkeypatch.setenv("SLURM_JOB_ID", job)
-        assert continues_job(tmp_path) is expected
 
 
 def test_ranks_stop_together_when_one_is_told_to_and_say_how_to_go_on(folder, data, two_ranks):

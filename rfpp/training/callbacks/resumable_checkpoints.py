@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import warnings
 from functools import partial
 from pathlib import Path
@@ -47,9 +48,13 @@ class ResumableCheckpoints(Checkpoint):
         keep: Positive,
         keep_every_n_steps: Positive,
     ):
+        counts = {"every_n_steps": every_n_steps, "keep": keep, "keep_every_n_steps": keep_every_n_steps}
+        for name, count in counts.items():
+            if count < 1:
+                raise ValueError(f"callbacks.checkpoints.{name}={count}: use 1 or more")
         self.folder, self.keep, self.keep_every_n_steps = Path(folder), keep, keep_every_n_steps
         self.every_n_steps, self.every_n_minutes = every_n_steps, every_n_minutes
-        self._saved_step: int | None = None  # training has not begun
+        self._saved_step = math.inf  # before training there is nothing to save
 
     def on_train_start(self, trainer: L.Trainer, module: L.LightningModule) -> None:
         self._saved_step, self._saved_at, self._saving_seconds = trainer.global_step, monotonic(), 0.0
@@ -69,7 +74,7 @@ class ResumableCheckpoints(Checkpoint):
         is_known_to_all = trainer.world_size == 1 or isinstance(exception, NonFiniteGradientError)
         is_worth_it = trainer.training and not isinstance(exception, DivergenceError)
         step = trainer.global_step
-        if self._saved_step is not None and step > self._saved_step and is_known_to_all and is_worth_it:
+        if step > self._saved_step and is_known_to_all and is_worth_it:
             try:
                 self._save(trainer, step, is_last=True)
             except (UserError, RuntimeError) as error:  # a full disk, or a GPU that fails: `exception` matters more
@@ -78,10 +83,9 @@ class ResumableCheckpoints(Checkpoint):
     def _end_step(self, trainer: L.Trainer) -> None:
         step = trainer.global_step
         received, due = self._agree(STOP_SIGNALS.take(), trainer.is_global_zero and self._is_due_by_time())
-        saved = cast(int, self._saved_step)
-        due = due or any(step // n > saved // n for n in (self.every_n_steps, self.keep_every_n_steps))
+        due = due or any(step // n > self._saved_step // n for n in (self.every_n_steps, self.keep_every_n_steps))
         due = due or step == trainer.max_steps
-        if step > saved and (due or received):
+        if step > self._saved_step and (due or received):
             self._save(trainer, step, is_last=bool(received) or step == trainer.max_steps)
         if received and step < trainer.max_steps:
             raise StoppedError(f"stopped by {received.name} after step {step} of {trainer.max_steps}", received)
