@@ -96,8 +96,8 @@ def test_a_full_disk_leaves_the_old_file_unchanged(folder, monkeypatch):
     monkeypatch.setattr(checkpoint_files, "REPEATED_AFTER", (0.2,))
     path, checkpoint_io = step_file(folder, 300), BackgroundCheckpointIO()
     before = path.read_bytes()
-    checkpoint_io.save_checkpoint({"state_dict": {}}, path)
     with pytest.warns(UserWarning, match=r"step-00000300\.ckpt: cannot be written \(No space.*training continues"):
+        checkpoint_io.save_checkpoint({"state_dict": {}}, path)
         checkpoint_io.remove_checkpoint(path)
     with pytest.raises(UserError, match=r"step-00000300\.ckpt: cannot be written \(No space left on device\)"):
         checkpoint_io.wait()
@@ -118,8 +118,8 @@ def test_a_failed_write_is_repeated(folder, monkeypatch):
     monkeypatch.setattr(os, "replace", full_once)
     monkeypatch.setattr(checkpoint_files, "REPEATED_AFTER", (0.2,))
     checkpoint_io, written = BackgroundCheckpointIO(), []
-    checkpoint_io.save_checkpoint({"state_dict": {}}, step_file(folder, 400), lambda: written.append(1))
     with pytest.warns(UserWarning, match="trying again"):
+        checkpoint_io.save_checkpoint({"state_dict": {}}, step_file(folder, 400), lambda: written.append(1))
         checkpoint_io.wait()
     assert find_defect(step_file(folder, 400)) is None
     assert (len(attempts), written) == (2, [1])
