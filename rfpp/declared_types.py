@@ -5,9 +5,9 @@ from __future__ import annotations
 import inspect
 import math
 from dataclasses import is_dataclass
+from pkgutil import resolve_name
 from typing import Annotated, Any, Literal, get_type_hints
 
-from hydra.utils import get_object
 from omegaconf import DictConfig, OmegaConf
 from pydantic import ConfigDict, Field, PydanticUserError, TypeAdapter, ValidationError
 
@@ -48,6 +48,7 @@ _TYPES = {
     "slice.count": Positive,
     "steps": Positive,
     "target": str | list[str],
+    "trainer.check_val_every_n_epoch": Positive | None,
     "trainer.log_every_n_steps": Positive,
     "trainer.max_steps": Positive,
     "trainer.num_nodes": Positive,
@@ -92,11 +93,11 @@ def _annotation(cfg: DictConfig, key: str) -> Any:
         return None
     parent, _, name = key.rpartition(".")
     try:
-        constructor = get_object(OmegaConf.select(cfg, parent)["_target_"])
+        constructor = resolve_name(OmegaConf.select(cfg, parent)["_target_"])
         has_fields = is_dataclass(constructor) or hasattr(constructor, "model_fields")
         annotated = constructor.__init__ if inspect.isclass(constructor) and not has_fields else constructor
         return get_type_hints(annotated, include_extras=True).get(name)
-    except (ImportError, NameError, TypeError):  # instantiation reports what is wrong with it
+    except (ImportError, AttributeError, NameError, TypeError, ValueError):  # instantiation reports it
         return None
 
 

@@ -7,10 +7,10 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from difflib import get_close_matches
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import Any
 
 import hydra
-from hydra.utils import get_object
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
 from rfpp.declared_types import declared_problem, is_argument
@@ -18,15 +18,16 @@ from rfpp.errors import UserError, one_line
 
 #: Numbers in whose place a list may be given.
 _ONE_OR_MORE = ("resolution", "trainer.devices")
-#: Settings that may be null although their default is not; Lightning has more of them.
+#: Settings that may be null although their default is not; Lightning has more of them, and so may one that is `auto`.
 _NULLABLE = (
     "resolution",
     "animation",
     "callbacks.checkpoints.every_n_minutes",
-    "checkpoint",
     "callbacks.divergence.patience",
     "reference.token_bounces",
 )
+#: Numbers from here on have no meaning in any setting.
+_HUGE = 1e15
 #: Values that are replaced before a constructor receives them.
 _REPLACED = {"trainer.precision": "auto"}
 #: Settings of version 0.1 whose new names are not similar.
@@ -47,7 +48,7 @@ def defaults_of(config_name: str, config_dir: Path, overrides: Sequence[str]) ->
 
 
 def require_valid(cfg: DictConfig, defaults: DictConfig, overrides: Sequence[str]) -> None:
-    """Raise UserError for a value that has another type than its default, is not finite, null, or negative.
+    """Raise UserError for a value that has another type than its default, is empty, null, huge, or negative.
 
     A number is negative against expectation if its default is not. A value that is an argument of a constructor is also
     checked against the constructor's annotations; others without a default are not checked.
@@ -68,7 +69,9 @@ def _require(cfg: DictConfig, defaults: DictConfig, key: str) -> None:
     expected = _expected(before, value)
     if isinstance(before, str) and not isinstance(value, str) and not is_argument(cfg, key):
         expected = "text, quoted if it looks like a number,"
-    if expected and not _is_exception(key, value):
+    if value == "" and before != "":
+        expected = "text that is not empty"
+    if expected and not _is_exception(key, before, value):
         raise UserError(f"{key}={shown}: {expected} was expected; the default is {before}")
     is_replaced = key in _REPLACED and value == _REPLACED[key]
     if not is_replaced and (problem := declared_problem(cfg, key, before)):
@@ -77,7 +80,7 @@ def _require(cfg: DictConfig, defaults: DictConfig, key: str) -> None:
 
 def _require_importable(key: str, name: Any) -> None:
     try:
-        reason = "" if callable(get_object(name)) else "cannot be called"
+        reason = "" if callable(resolve_name(name)) else "cannot be called"
     except (ImportError, ValueError, TypeError, AttributeError) as error:
         reason = one_line(str(error))
     if reason:
@@ -85,7 +88,14 @@ def _require_importable(key: str, name: Any) -> None:
 
 
 def names_setting(message: str, overrides: Sequence[str]) -> bool:
-    """Return whether an error begins with a setting of the command line, a part of one, or a group that has one."""
+    """Return whether an error begins with a setting of the command line, a part of one, or a group that has one.
+
+    The value of a setting counts as well if it is the path of a file that does not exist.
+    """
+    path = message.partition(": ")[0]
+    values = {value for given in overrides for value in re.split("[][,'\"]", given.partition("=")[2]) if value}
+    if any(path == value or path.startswith(f"{value}/") for value in values if not Path(value).exists()):
+        return True
     if not (start := re.match(r"([\w.]+)[:=]", message)):
         return False
     named, keys = start[1], map(_key, overrides)
@@ -108,9 +118,9 @@ def _key(override: str) -> str:
     return override.lstrip("+~").partition("=")[0]
 
 
-def _is_exception(key: str, value: Any) -> bool:
+def _is_exception(key: str, before: Any, value: Any) -> bool:
     if value is None:
-        return key in _NULLABLE or key.startswith("trainer.")
+        return key in _NULLABLE or before == "auto" or key.startswith("trainer.")
     return key in _ONE_OR_MORE and isinstance(value, ListConfig)
 
 
@@ -131,6 +141,8 @@ def _expected(before: Any, value: Any) -> str | None:
         return "a whole number"
     if not math.isfinite(value) and math.isfinite(before):
         return "a finite number"
+    if abs(value) >= _HUGE > abs(before):
+        return f"a number below {_HUGE:g}"
     expects_sign = before > 0 or (isinstance(before, int) and before == 0)
     return "no negative number" if value < 0 and expects_sign else None
 

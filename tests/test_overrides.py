@@ -17,8 +17,8 @@ from rfpp.overrides import defaults_of, names_setting, require_valid
 COMMANDS = {"train": "experiment=large_scale", "generate": "experiment=study", "evaluate": "experiment=ablation",
             "refine": "experiment=rfpp_real", "benchmark": "benchmark=cost", "render/render": "motion=swing",
             "render/relight": "", "view": "", "serve/serve": ""}  # fmt: skip
-NONSENSE = {bool: ["maybe", 3, "null"], int: ["many", -1, 0.5, "nan", "null", "[1]"],
-            float: ["much", "inf", True, "null"], list: ["few", 3, "null"]}  # fmt: skip
+NONSENSE = {bool: ["maybe", 3, "null"], int: ["many", -1, 0.5, "nan", "null", "[1]", 10**15],
+            float: ["much", "inf", True, "null", 1e30], list: ["few", 3, "null"], str: ["''"]}  # fmt: skip
 #: Settings with a number that may be null, or a list.
 WIDER = {"callbacks.checkpoints.every_n_minutes": ["null"], "callbacks.divergence.patience": ["null"],
          "reference.token_bounces": ["null"], "resolution": ["null", "[1]"],
@@ -46,7 +46,7 @@ def test_nonsense_is_refused_for_every_leaf(command):
             if wrong in WIDER.get(key, ["null"] if key.startswith("trainer.") else []):
                 continue
             given = OmegaConf.from_dotlist([f"{key}={wrong}"])
-            with pytest.raises(UserError, match=rf"{key}=.* was expected; the default is "):
+            with pytest.raises(UserError, match=rf"{key}=.*( was expected; the default is |name a class)"):
                 require_valid(given, defaults, [key])
             tried += 1
     assert tried >= 10
@@ -84,10 +84,15 @@ def _message(given, defaults, key):
         ("camera.look_at: input should be a valid tuple", False),
         ("camera images need Blender", False),
         ("/data/camera.fov: no such file", False),
+        ("a.json: cannot be read", True),
+        ("b.glb: cannot be read", True),
+        ("shards/manifest.json: there is no finished data set here", True),
+        ("a.json.gz: cannot be read", False),
+        ("README.md: no scene", False),
     ],
 )
-def test_an_error_names_a_setting_of_the_command_line(message, named):
-    assert names_setting(message, ["scene=a.json", "camera.fov=-1"]) is named
+def test_an_error_names_a_setting_of_the_command_line_or_its_missing_file(message, named):
+    assert names_setting(message, ["scene=['README.md','a.json',b.glb]", "camera.fov=-1", "data.root=shards"]) is named
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,7 @@ from rfpp.losses.log_l1 import log_l1
 from rfpp.losses.perceptual import PerceptualLoss
 from rfpp.losses.token_light import TokenLight
 from rfpp.losses.transport_consistency import TransportConsistency
+from rfpp.ranges import NonNegativeFloat, Positive
 from rfpp.segments import Segments
 
 
@@ -26,13 +27,13 @@ class RenderingLoss(nn.Module):
 
     def __init__(
         self,
-        l1_weight: float,
-        lpips_weight: float,
-        consistency_weight: float,
-        lpips_images_per_step: int | None,
+        l1_weight: NonNegativeFloat,
+        lpips_weight: NonNegativeFloat,
+        consistency_weight: NonNegativeFloat,
+        lpips_images_per_step: Positive | None,
         consistency_stop_gradient: bool,
         token_light: TokenLight | None = None,
-        token_light_weight: float = 0.0,
+        token_light_weight: NonNegativeFloat = 0.0,
     ):
         super().__init__()
         self.l1_weight, self.lpips_weight, self.consistency_weight = l1_weight, lpips_weight, consistency_weight

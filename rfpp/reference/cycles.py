@@ -24,6 +24,7 @@ from jaxtyping import Float
 
 from rfpp.errors import MissingDependencyError, UserError
 from rfpp.imaging.exr import ImageFileError, read_exr
+from rfpp.ranges import NonNegative, NonNegativeFloat, Positive
 from rfpp.reference.blender_scene import add_geometry
 from rfpp.scene.triangles import SceneTriangles
 
@@ -63,20 +64,20 @@ class CyclesSettings:
         threads: 0 is one per core.
     """
 
-    samples: int
-    adaptive_threshold: float
+    samples: Positive
+    adaptive_threshold: NonNegativeFloat
     denoise: bool
-    max_bounces: int
-    diffuse_bounces: int
-    glossy_bounces: int
-    clamp_direct: float
-    clamp_indirect: float
+    max_bounces: NonNegative
+    diffuse_bounces: NonNegative
+    glossy_bounces: NonNegative
+    clamp_direct: NonNegativeFloat
+    clamp_indirect: NonNegativeFloat
     caustics: bool
-    blur_glossy: float
-    light_threshold: float
+    blur_glossy: NonNegativeFloat
+    light_threshold: NonNegativeFloat
     filter_width: float
-    seed: int
-    threads: int
+    seed: NonNegative
+    threads: NonNegative
 
     def __post_init__(self) -> None:
         for name, least in {field.name: int(field.name == "samples") for field in fields(self)}.items():

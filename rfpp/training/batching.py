@@ -12,6 +12,7 @@ from heapq import heappop, heappush
 from typing import Protocol, TypeVar, runtime_checkable
 
 from rfpp.errors import UserError
+from rfpp.ranges import Positive
 
 Draw = TypeVar("Draw")
 
@@ -69,9 +70,9 @@ class Batching:
         views_per_scene: views drawn from each scene; scenes × views is the paper's batch size.
     """
 
-    scenes_per_step: int
-    scenes_per_device: int | None
-    views_per_scene: int
+    scenes_per_step: Positive
+    scenes_per_device: Positive | None
+    views_per_scene: Positive
     partition: Partition
     shuffle_shards: int
 

@@ -7,8 +7,12 @@ import math
 from torch.optim import Optimizer
 from torch.optim.lr_scheduler import LambdaLR
 
+from rfpp.ranges import NonNegative, Positive, Share
 
-def warmup_cosine(optimizer: Optimizer, warmup_steps: int, total_steps: int, final_fraction: float) -> LambdaLR:
+
+def warmup_cosine(
+    optimizer: Optimizer, warmup_steps: NonNegative, total_steps: Positive, final_fraction: Share
+) -> LambdaLR:
     """Return a schedule with linear warm-up and cosine decay."""
 
     def factor(step: int) -> float:

@@ -88,6 +88,12 @@ def test_the_newest_and_milestones_are_kept_and_partial_files_are_deleted(folder
         assert sorted(folder.iterdir()) == [step_file(folder, step) for step in expected]
 
 
+def save_and(checkpoint_io, then, path, when_written=None):
+    """Save, whose thread may warn at once, and do something that waits for it."""
+    checkpoint_io.save_checkpoint({"state_dict": {}}, path, when_written)
+    then()
+
+
 def test_a_full_disk_leaves_the_old_file_unchanged(folder, monkeypatch):
     def full(*_):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
@@ -97,8 +103,7 @@ def test_a_full_disk_leaves_the_old_file_unchanged(folder, monkeypatch):
     path, checkpoint_io = step_file(folder, 300), BackgroundCheckpointIO()
     before = path.read_bytes()
     with pytest.warns(UserWarning, match=r"step-00000300\.ckpt: cannot be written \(No space.*training continues"):
-        checkpoint_io.save_checkpoint({"state_dict": {}}, path)
-        checkpoint_io.remove_checkpoint(path)
+        save_and(checkpoint_io, lambda: checkpoint_io.remove_checkpoint(path), path)
     with pytest.raises(UserError, match=r"step-00000300\.ckpt: cannot be written \(No space left on device\)"):
         checkpoint_io.wait()
     assert path.read_bytes() == before
@@ -119,8 +124,7 @@ def test_a_failed_write_is_repeated(folder, monkeypatch):
     monkeypatch.setattr(checkpoint_files, "REPEATED_AFTER", (0.2,))
     checkpoint_io, written = BackgroundCheckpointIO(), []
     with pytest.warns(UserWarning, match="trying again"):
-        checkpoint_io.save_checkpoint({"state_dict": {}}, step_file(folder, 400), lambda: written.append(1))
-        checkpoint_io.wait()
+        save_and(checkpoint_io, checkpoint_io.wait, step_file(folder, 400), lambda: written.append(1))
     assert find_defect(step_file(folder, 400)) is None
     assert (len(attempts), written) == (2, [1])
 

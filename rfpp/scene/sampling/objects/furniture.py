@@ -92,8 +92,8 @@ class FurnitureObjects(LibraryObjects):
         paths = {file: self._path(file) for file in self.files}
         if missing := [path for path in paths.values() if not path.exists()]:
             raise SceneError(
-                f"{missing[0]}: there is no such file: install Debian's sweethome3d-furniture (`apt-get download "
-                "sweethome3d-furniture` and `dpkg -x` need no root) and set family.objects.folder"
+                f"{missing[0]}: there is no such file: unpack Debian's sweethome3d-furniture as in data/README.md, or "
+                "set family.objects.folder"
             )
         return {file: _catalogue(path, path.stat().st_mtime_ns) for file, path in paths.items()}
 
