@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable
 from contextlib import suppress
+from dataclasses import fields, is_dataclass
 from hashlib import blake2b
 from threading import Lock
 from typing import Generic, TypeVar
@@ -32,10 +33,13 @@ class BoundedCache(Generic[Value]):
         with self._lock, suppress(ValueError):  # raised for values above the limit
             self._entries[key] = value, size
 
-    def get_or_compute(self, key: Hashable, size: int, compute: Callable[[], Value]) -> Value:
+    def get_or_compute(self, key: Hashable, size: int | None, compute: Callable[[], Value]) -> Value:
         """Return a value; compute and store it first if it is missing.
 
         Threads that request the same value wait for one of them to compute it. `compute` may use other keys only.
+
+        Args:
+            size: Bytes of the value; None for those of its arrays.
         """
         with self._lock:
             computing = self._computing.setdefault(key, Lock())
@@ -44,11 +48,20 @@ class BoundedCache(Generic[Value]):
                 value = self.get(key)
                 if value is None:
                     value = compute()
-                    self.put(key, value, size)
+                    self.put(key, value, bytes_of(value) if size is None else size)
                 return value
         finally:
             with self._lock:
                 self._computing.pop(key, None)
+
+
+def bytes_of(value: object) -> int:
+    """Return the size of all arrays in a dataclass, or in a tuple of them."""
+    if isinstance(value, np.ndarray):
+        return value.nbytes
+    if is_dataclass(value):
+        return sum(bytes_of(getattr(value, field.name)) for field in fields(value))
+    return sum(map(bytes_of, value)) if isinstance(value, tuple) else 0
 
 
 def digest_of(*parts: np.ndarray | bytes) -> bytes:

@@ -21,9 +21,6 @@ from rfpp.raycast.first_hit import GBuffer, channel
 from rfpp.scene.packed import PackedScene
 from rfpp.scene.triangles import SceneTriangles
 
-#: Memory of cells per triangle, about; small scenes have more cells than triangles.
-_CELL_BYTES_PER_TRIANGLE = 1000
-
 
 @dataclass(frozen=True, eq=False)
 class ViewInputs:
@@ -51,9 +48,8 @@ class RadiositySource:
             light: Object whose light alone counts; None for all lights.
         """
         key = ("cells", geometry_digest(triangles), digest_of(triangles.material), light)
-        size = _CELL_BYTES_PER_TRIANGLE * len(triangles)
         places = self._places(triangles)
-        return self._cache.get_or_compute(key, size, lambda: cells_at(places, self.gbuffers.lights(triangles, light)))
+        return self._cache.get_or_compute(key, None, lambda: cells_at(places, self.gbuffers.lights(triangles, light)))
 
     def cell_map(self, triangles: SceneTriangles) -> CellMap:
         """Return the map from points of the scene to its cells."""
@@ -71,8 +67,7 @@ class RadiositySource:
         def find() -> CellPlaces:
             return find_places(triangles, self.gbuffers.shadow_caster(triangles))
 
-        key = ("places", geometry_digest(triangles))
-        return self._cache.get_or_compute(key, _CELL_BYTES_PER_TRIANGLE * len(triangles), find)
+        return self._cache.get_or_compute(("places", geometry_digest(triangles)), None, find)
 
 
 def as_tensors(inputs: ViewInputs, scene: PackedScene, view: int, cells: int, device: torch.device) -> View:

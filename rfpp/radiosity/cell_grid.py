@@ -143,7 +143,8 @@ def principal_axes(corners: Float[np.ndarray, "m 3 3"]) -> tuple[Float[np.ndarra
     centroid = np.einsum("m,mi->i", area, corners.mean(1))
     spread = corners - centroid
     total = spread.sum(1)
-    moment = (np.einsum("mci,mcj,m->ij", spread, spread, area) + np.einsum("mi,mj,m->ij", total, total, area)) / 12
+    weighted = (area[:, None, None] * spread).reshape(-1, 3).T @ spread.reshape(-1, 3)
+    moment = (weighted + (area[:, None] * total).T @ total) / 12
     size, vectors = np.linalg.eigh(moment)
     vertices, axes = spread.reshape(-1, 3), []
     open_axes = [vectors[:, k] for k in (2, 1, 0)]

@@ -55,7 +55,8 @@ def _smooth_edges(mesh: Mesh, normals: np.ndarray, crease_degrees: float) -> tup
     end = start[_next_corner(np.arange(len(start)))]
     key = np.minimum(start, end) * (start.max() + 1) + np.maximum(start, end)
     order = np.argsort(key, kind="stable")
-    _, begin, count = np.unique(key[order], return_index=True, return_counts=True)
+    begin = np.flatnonzero(np.diff(key[order], prepend=-1))
+    count = np.diff(begin, append=len(order))
     pairs = begin[count == 2]
     first, second = order[pairs], order[pairs + 1]
     cosine = np.einsum("ec,ec->e", normals[first // 3], normals[second // 3])
@@ -88,4 +89,7 @@ def _corner_angles(mesh: Mesh) -> np.ndarray:
 
 
 def _unit(vectors: np.ndarray) -> np.ndarray:
-    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
+    # twice as fast as np.linalg.norm
+    return (
+        vectors / np.sqrt(np.einsum("...i,...i->...", vectors, vectors))[..., None]
+    )

@@ -46,7 +46,8 @@ class SceneTriangles:
     @property
     def is_emissive(self) -> np.ndarray:
         """[M] bool. Emissive triangles light the scene and are invisible to the camera."""
-        return (self.material[:, EMISSION] > 0).any(axis=1)
+        red, green, blue = (self.material[:, EMISSION] > 0).T
+        return red | green | blue  # several times as fast as `any` along rows of three
 
     @property
     def is_one_sided(self) -> np.ndarray:

@@ -95,7 +95,7 @@ def test_drawn_parts_share_the_faces_and_stay_where_they_are(tmp_path, target):
 
 
 def test_bad_archives_are_named(tmp_path):
-    with pytest.raises(SceneError, match=r"Shop\.sh3f: there is no such file: install Debian's sweethome3d-furniture"):
+    with pytest.raises(SceneError, match=r"Shop\.sh3f: there is no such file: unpack Debian's sweethome3d-furniture"):
         source(tmp_path).originals()
     with pytest.raises(SceneError, match="files is empty"):
         source(tmp_path, files=())
