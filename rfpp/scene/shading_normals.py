@@ -90,6 +90,4 @@ def _corner_angles(mesh: Mesh) -> np.ndarray:
 
 def _unit(vectors: np.ndarray) -> np.ndarray:
     # twice as fast as np.linalg.norm
-    return (
-        vectors / np.sqrt(np.einsum("...i,...i->...", vectors, vectors))[..., None]
-    )
+    return vectors / np.sqrt(np.einsum("...i,...i->...", vectors, vectors))[..., None]

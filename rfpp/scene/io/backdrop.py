@@ -49,7 +49,10 @@ def _has_floor(parts: Sequence[Part]) -> bool:
     low, high = bounds(parts)
     highest, area = low[2] + _LOWEST * (high[2] - low[2]), 0.0
     for part in parts:
-        a, b, c = (part.vertices[:, 2] <= highest)[part.faces].T
+        is_low = part.vertices[:, 2] <= highest
+        if not is_low.any():
+            continue
+        a, b, c = is_low[part.faces].T
         corners = part.vertices[part.faces[a & b & c]]
         normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         area += normal[normal[:, 2] > 0.9 * np.linalg.norm(normal, axis=1), 2].sum() / 2

@@ -95,6 +95,7 @@ class _Reader:
         self.left_out: dict[str, None] = dict.fromkeys(["animations"] if self.document.items("animations") else [])
         self._materials_left_out: set[str] = set()
         self._triangles = self._parts = 0
+        self._geometries: dict[str, Geometry | None] = {}
 
     def primitives(self, index: int) -> int:
         """Return the number of a node's primitives."""
@@ -109,7 +110,7 @@ class _Reader:
         mesh, skin = self.file.linked(node, "mesh", "meshes"), self.file.linked(node, "skin", "skins")
         for number in range(len(mesh.items("primitives")) if mesh else 0):
             primitive = mesh.at("primitives", number)
-            geometry = Geometry.read(self.file, primitive)
+            geometry = self._geometry(primitive)
             if geometry is None:
                 self.left_out["points and lines"] = None
                 continue
@@ -126,6 +127,12 @@ class _Reader:
                 if np.linalg.det(pose[:3, :3]) < 0:  # mirrored
                     geometry = replace(geometry, faces=geometry.faces[:, ::-1])
                 yield primitive, geometry, geometry.positions @ pose[:3, :3].T + pose[:3, 3]
+
+    def _geometry(self, primitive: Entry) -> Geometry | None:
+        """Return the geometry of a primitive, read once for all nodes that share it."""
+        if primitive.where not in self._geometries:
+            self._geometries[primitive.where] = Geometry.read(self.file, primitive)
+        return self._geometries[primitive.where]
 
     def parts(self, index: int) -> Iterator[Part | TexturedPart]:
         label = self._label(index)

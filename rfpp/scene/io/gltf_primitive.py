@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float, Int
+from scipy.sparse import csr_array
 
 from rfpp.errors import SceneError
 from rfpp.scene.io.gltf_file import GltfFile
@@ -100,10 +101,10 @@ class Geometry:
         joints, weights = self._attribute("JOINTS_0", "VEC4").astype(np.int64), self._attribute("WEIGHTS_0", "VEC4")
         if joints.max() >= len(bones) or joints.min() < 0:
             raise SceneError("its skin is damaged: export it again")
-        posed = np.zeros_like(self.positions)
-        for joint, weight in zip(joints.T, weights.T, strict=True):
-            moved = np.einsum("vij,vj->vi", bones[joint][:, :3, :3], self.positions) + bones[joint][:, :3, 3]
-            posed += weight[:, None] * moved
+        first = np.arange(0, weights.size + 1, weights.shape[1])
+        blend = csr_array((weights.reshape(-1), joints.reshape(-1), first), shape=(len(weights), len(bones)))
+        pose = (blend @ bones[:, :3].reshape(-1, 12)).reshape(-1, 3, 4)
+        posed = np.einsum("vij,vj->vi", pose[..., :3], self.positions) + pose[..., 3]
         return posed / np.maximum(weights.sum(axis=1, keepdims=True), 1e-9)
 
     def _attribute(self, name: str, *types: str) -> Float[np.ndarray, "v n"]:

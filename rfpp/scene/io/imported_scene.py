@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -68,7 +69,7 @@ class Part:
     def areas(self) -> Float[np.ndarray, " f"]:
         return triangle_areas(self.vertices, self.faces)
 
-    @property
+    @cached_property
     def is_light(self) -> bool:
         return bool((self.material[:, EMISSION] > 0).any())
 
