@@ -80,10 +80,11 @@ def _merged(parts: list[Part]) -> list[Part]:
     joining = {index: [index] for index in large}
     for index, body in zip(small, large[nearest], strict=True):
         joining[body].append(index)
-    return [_joined([parts[index] for index in indices]) for indices in joining.values()]
+    return [joined([parts[index] for index in indices]) for indices in joining.values()]
 
 
-def _joined(parts: Sequence[Part]) -> Part:
+def joined(parts: Sequence[Part]) -> Part:
+    """Return the parts as one, with the name and the shading of the first."""
     starts = np.cumsum([0, *(len(part.vertices) for part in parts[:-1])])
     return replace(
         parts[0],

@@ -54,7 +54,7 @@ class Part:
         if len(self.faces) and not 0 <= self.faces.min() <= self.faces.max() < len(self.vertices):
             raise SceneError(f"'{self.name}': a face refers to none of {len(self.vertices)} vertices: export it again")
         for what, values in (("a vertex", self.vertices), ("its material", self.material)):
-            if not (np.abs(values) < BEYOND).all():
+            if values.size and not -BEYOND < values.min() <= values.max() < BEYOND:
                 raise SceneError(f"'{self.name}': {what} is NaN, infinite or too large: repair or export it again")
 
     def __len__(self) -> int:

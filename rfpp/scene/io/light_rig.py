@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Bool, Float
 
+from rfpp.scene.io.grouping import joined
 from rfpp.scene.io.imported_scene import ImportedScene, Part
 from rfpp.scene.io.punctual_lights import facing_triangle, fixture
 from rfpp.scene.spec import Camera
@@ -32,8 +33,6 @@ _LIGHT_EDGE, _LIGHT_DISTANCE, _NEARER = 0.16, 2.4, 0.6
 #: Azimuth relative to the camera and elevation in degrees, radiance: white walls inside the box stay below 1.
 _RIG = (("key_light", 45.0, 50.0, 600.0), ("fill_light", -60.0, 35.0, 330.0), ("back_light", 170.0, 60.0, 160.0))
 _SAMPLES = 512
-#: Triangles that a ray meets at once, so that intermediate values stay in the processor's cache.
-_BLOCK = 8192
 
 
 def with_lights(scene: ImportedScene, camera: Camera, path: Path) -> list[Part]:
@@ -96,11 +95,11 @@ def _sampled(
 
 def _rig(camera: Camera, parts: Sequence[Part]) -> tuple[list[Part], bool]:
     """Return three lights, and whether any of them had to move."""
-    corners = np.concatenate([part.corners for part in parts if not part.is_light])
+    surface = joined([part for part in parts if not part.is_light])
     position = np.array(camera.position, np.float64)
     forward = np.subtract(camera.look_at, position)
     forward /= np.linalg.norm(forward)
-    center = position + min(_free_distance(corners, position, forward), _LIGHT_DISTANCE) / 2 * forward
+    center = position + min(_free_distance(surface, position, forward), _LIGHT_DISTANCE) / 2 * forward
     lights, blocked = [], False
     x, y = -forward[:2]
     for name, azimuth, elevation, radiance in _RIG:
@@ -108,7 +107,7 @@ def _rig(camera: Camera, parts: Sequence[Part]) -> tuple[list[Part], bool]:
         outward = np.array([np.cos(above) * np.cos(around), np.cos(above) * np.sin(around), np.sin(above)])
         place, size = _LIGHT_DISTANCE * outward, 1.0
         away = place - center
-        if (free := _free_distance(corners, center, away)) < 1:
+        if (free := _free_distance(surface, center, away)) < 1:
             size, blocked = _NEARER * free, True
             place = center + size * away
         triangle = facing_triangle(name, place, -outward, size * _LIGHT_EDGE, np.full(3, radiance))
@@ -116,13 +115,16 @@ def _rig(camera: Camera, parts: Sequence[Part]) -> tuple[list[Part], bool]:
     return lights, blocked
 
 
-def _free_distance(corners: Float[np.ndarray, "f 3 3"], origin: np.ndarray, direction: np.ndarray) -> float:
+def _free_distance(surface: Part, origin: np.ndarray, direction: np.ndarray) -> float:
     """Return the distance to the first triangle along a ray, in lengths of its direction; infinity for none."""
-    blocks = np.array_split(corners, len(corners) // _BLOCK + 1)
-    return min(_first_distance(block, origin, direction) for block in blocks)
+    across, faces = np.cross(direction, np.eye(3)[np.abs(direction).argmin()]), surface.faces
+    for normal in (across, np.cross(direction, across)):  # only triangles that both planes cut can be hit
+        a, b, c = (surface.vertices @ normal > origin @ normal)[faces].T
+        faces = faces[(a != b) | (b != c)]
+    return _first_distance(surface.vertices[faces], origin, direction)
 
 
-def _first_distance(corners: np.ndarray, origin: np.ndarray, direction: np.ndarray) -> float:
+def _first_distance(corners: Float[np.ndarray, "f 3 3"], origin: np.ndarray, direction: np.ndarray) -> float:
     with np.errstate(divide="ignore", invalid="ignore"):  # of triangles without area and those seen from their edge
         a, b, c = corners[:, 0] - origin, corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
         across = np.cross(direction, c)
