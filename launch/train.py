@@ -133,7 +133,7 @@ def main(cfg: DictConfig) -> Path | None:
                 start = leave_out(run_dir, stop.steps)
             if start is not None:
                 span = f"{stop.steps[0]}–{stop.steps[-1]}, where training began to diverge"
-                exit_early(StoppedError(f"back to {start}, without steps {span}", REQUEUE), run_dir)
+                exit_early(StoppedError(f"training goes back to {start} and leaves out steps {span}", REQUEUE), run_dir)
         if isinstance(stop, StoppedError):
             exit_early(stop, run_dir)
         raise

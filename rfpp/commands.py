@@ -54,8 +54,8 @@ def entry_point(
 ) -> Callable[[Callable[[DictConfig], Result]], Callable[[], Result | None]]:
     """Decorate `task(cfg)` into a command that composes `<config_dir>/<config_name>.yaml` and the command line.
 
-    A `UserError` is printed as one line on stderr and the process exits with status 1, or 2 if a setting is unknown or
-    has an invalid value. The undecorated task is available as `command.__wrapped__`.
+    A `UserError` is printed as one line on stderr and the process exits with status 1, or 2 if a setting is unknown,
+    is invalid or names a file that does not exist. The undecorated task is available as `command.__wrapped__`.
     """
 
     def decorate(task: Callable[[DictConfig], Result]) -> Callable[[], Result | None]:

@@ -23,6 +23,7 @@ _TYPES = {
     "evaluation.baseline_scenes": Positive,
     "evaluation.bootstrap.resamples": Positive,
     "evaluation.splits": Annotated[list[str], Field(min_length=1)],
+    "format": Literal["renderformer", "h5", "exr"],
     "h5.folder": str | None,
     "initial_weights": str | None,
     "mask": str | list[str] | None,

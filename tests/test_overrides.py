@@ -105,6 +105,10 @@ def test_an_error_names_a_setting_of_the_command_line_or_its_missing_file(messag
             "datamodule.root: there is no such setting: did you mean datamodule.source.root?",
         ),
         ("steps=many", "steps=many: a number was expected; the default is 20"),
+        (
+            "initial_weights=nonsense.ckpt",
+            "nonsense.ckpt: no such checkpoint: train one with launch/train.py, or correct the path",
+        ),
     ],
 )
 def test_commands_end_with_one_line_and_the_status_of_wrong_usage(given, said):

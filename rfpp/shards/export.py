@@ -32,7 +32,7 @@ _IN_PLACE = Transform(normalize=False)
 def export(sample: SceneSample, format: str, folder: Path) -> list[Path]:
     """Write a sample in one of `FORMATS`. Raises UserError for an unknown format or a file that cannot be written."""
     if format not in FORMATS:
-        raise UserError(f"format '{format}' does not exist: choose from {', '.join(FORMATS)}")
+        raise UserError(f"format={format}: choose from {', '.join(FORMATS)}")
     return FORMATS[format](sample, Path(folder))
 
 

@@ -123,5 +123,5 @@ def test_equal_samples_are_equal_files(sample, tmp_path):
 
 
 def test_an_unknown_format_lists_the_known(sample, tmp_path):
-    with pytest.raises(UserError, match="'gltf' does not exist: choose from renderformer, h5, exr"):
+    with pytest.raises(UserError, match="format=gltf: choose from renderformer, h5, exr"):
         export(sample, "gltf", tmp_path)

@@ -37,7 +37,7 @@ def add_light(glb: Glb, light, name: str, matrix: np.ndarray, warnings: Warnings
 
 
 def _watts(light, matrix: np.ndarray) -> np.ndarray:
-    """Return the power [3]; for a sun watts per square meter."""
+    """Return the power in watts [3], or of a sun its irradiance in W/m²."""
     color = np.array(light.color, np.float64)
     if getattr(light, "use_temperature", False):  # this and the following since Blender 4.5
         color *= np.array(light.temperature_color)
