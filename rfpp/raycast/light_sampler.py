@@ -14,7 +14,7 @@ from rfpp.raycast.raycast import RayCaster
 from rfpp.scene.triangles import EMISSION, SceneTriangles
 
 #: Triangles of a light up to which Lambert's formula is used.
-_FORMULA_UP_TO = 16
+_FORMULA_UP_TO = 20
 #: Lights of the sampler. Where a scene has more, neighbors are sampled together: with noise, in bounded time.
 _AT_MOST = 128
 
@@ -54,8 +54,13 @@ class LightSampler:
         for number in np.flatnonzero((count > 1) & (count <= _FORMULA_UP_TO)):
             own = light == number
             flat[number] = (np.abs(facing[own] @ facing[own][0]) > 1 - 1e-6).all()
-            if not flat[number] and not one_sided[own].any():
-                facing[own], solid[number] = _outwards(corners[own], facing[own], area[own], others)
+            if flat[number]:
+                continue
+            outwards, solid[number] = _outwards(corners[own], facing[own], area[own], others)
+            if one_sided[own].any():
+                solid[number] &= one_sided[own].all() and (outwards == facing[own]).all()
+            else:
+                facing[own] = outwards
         bounds = [corners[light == number].reshape(-1, 3) for number in range(len(count))]
         middle = np.array([(own.min(0) + own.max(0)) / 2 for own in bounds]).reshape(-1, 3)
         reach = np.array([np.linalg.norm(own - at, axis=1).max() for own, at in zip(bounds, middle, strict=True)])

@@ -95,8 +95,8 @@ def glossy() -> GltfBuilder:
 def screen() -> GltfBuilder:
     """No lamp, but a panel behind the camera with an emissive texture, bright on one half."""
     builder = room()
-    pixels = np.zeros((16, 16, 3))
-    pixels[:, 8:] = [255, 220, 180]
+    pixels = np.zeros((128, 128, 3))  # so many that Cycles' interpolation between gamma values does not matter
+    pixels[:, 64:] = [255, 220, 180]
     material = {"emissiveFactor": [1, 1, 1], "emissiveTexture": builder.texture(pixels),
                 "extensions": {"KHR_materials_emissive_strength": {"emissiveStrength": 20}},
                 "pbrMetallicRoughness": {"baseColorFactor": [0, 0, 0, 1]}}  # fmt: skip

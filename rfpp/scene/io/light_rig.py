@@ -20,7 +20,7 @@ from jaxtyping import Bool, Float
 
 from rfpp.scene.io.grouping import joined
 from rfpp.scene.io.imported_scene import ImportedScene, Part
-from rfpp.scene.io.punctual_lights import facing_triangle, fixture
+from rfpp.scene.io.punctual_lights import facing_triangle, fixture, separate
 from rfpp.scene.spec import Camera
 from rfpp.scene.triangles import EMISSION
 
@@ -37,7 +37,10 @@ _SAMPLES = 512
 
 def with_lights(scene: ImportedScene, camera: Camera, path: Path) -> list[Part]:
     """Return the parts of a framed scene and its lights; added lights are placed around `camera`."""
-    parts = [*scene.parts, *(part for light in scene.punctual_lights for part in fixture(light))]
+    lights = separate(scene.punctual_lights)
+    if joined_lights := len(scene.punctual_lights) - len(lights):
+        warnings.warn(f"{path}: point lights that touch others are joined to these ({joined_lights})", stacklevel=4)
+    parts = [*scene.parts, *(part for light in lights for part in fixture(light))]
     glowing = sum(part.is_light for part in scene.parts)
     if glowing:
         warnings.warn(
