@@ -19,8 +19,8 @@ from rfpp.scene.triangles import SceneTriangles
 _BYTES_PER_TRIANGLE = 200
 #: Memory of a triangle in a LightSampler.
 _SAMPLER_BYTES_PER_TRIANGLE = 8
-#: Memory of a pixel in a GBuffer: triangle, normal and depth.
-_BYTES_PER_PIXEL = 20
+#: Memory of a pixel in a GBuffer: triangle, normal, depth and texel.
+_BYTES_PER_PIXEL = 24
 
 
 class GBufferSource:
@@ -109,5 +109,6 @@ class GBufferSource:
 
 
 def geometry_digest(triangles: SceneTriangles) -> bytes:
-    """Return a digest of everything that rays depend on but materials."""
-    return digest_of(triangles.positions, triangles.normals, triangles.is_emissive, triangles.object_offsets)
+    """Return a digest of everything that rays depend on but the materials of triangles."""
+    texels = b"" if triangles.texels is None else triangles.texels.digest
+    return texels + digest_of(triangles.positions, triangles.normals, triangles.is_emissive, triangles.object_offsets)

@@ -47,7 +47,7 @@ class MaterialTensors:
                 if value.requires_grad and torch.is_grad_enabled():
                     given[key][name] = value
         values = material.detach().cpu().numpy()
-        return cls(replace(scene, triangles=replace(triangles, material=values)), material, given)
+        return cls(replace(scene, triangles=replace(triangles, material=values, texels=None)), material, given)
 
     def with_values(self, changes: Mapping[tuple[str, str], float]) -> PackedScene:
         """Return the scene with other values: (object, property) → value of all color channels."""

@@ -11,6 +11,7 @@ from rfpp.model.layers.attention import AttentionPattern
 from rfpp.model.layers.block import CrossBlock, RMSNorm, SelfBlock
 from rfpp.model.layers.encoding import RelativeSpatialEncoding
 from rfpp.model.layers.scene_tokens import SceneTokens
+from rfpp.ranges import Positive
 from rfpp.segments import Segments
 
 
@@ -27,13 +28,13 @@ class ObjectTokens(nn.Module):
 
     def __init__(
         self,
-        width: int,
-        heads: int,
-        hidden: int,
-        encoder_layers: int,
-        queries: int,
-        cross_layers: int,
-        frequencies: int,
+        width: Positive,
+        heads: Positive,
+        hidden: Positive,
+        encoder_layers: Positive,
+        queries: Positive,
+        cross_layers: Positive,
+        frequencies: Positive,
     ):
         super().__init__()
         self.position = RelativeSpatialEncoding(width // heads, frequencies)

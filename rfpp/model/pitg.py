@@ -14,6 +14,7 @@ from rfpp.model.layers.attention import AttentionPattern
 from rfpp.model.layers.block import NORM_EPS, SelfBlock
 from rfpp.model.layers.encoding import RelativeSpatialEncoding, Rotation
 from rfpp.model.layers.scene_tokens import SceneTokens
+from rfpp.ranges import NonNegative, Positive
 
 
 @dataclass(frozen=True)
@@ -68,7 +69,15 @@ class PhysicsInformedTransport(nn.Module):
         frequencies: RSPE frequencies.
     """
 
-    def __init__(self, width: int, heads: int, hidden: int, layers: int, iterations: int, frequencies: int):
+    def __init__(
+        self,
+        width: Positive,
+        heads: Positive,
+        hidden: Positive,
+        layers: Positive,
+        iterations: NonNegative,
+        frequencies: Positive,
+    ):
         super().__init__()
         self.iterations = iterations
         self.position = RelativeSpatialEncoding(width // heads, frequencies)

@@ -10,6 +10,7 @@ from rfpp.batch import RaggedBatch
 from rfpp.errors import UserError
 from rfpp.model.layers.block import FLOAT32_EPS, RMSNorm
 from rfpp.model.layers.encoding import FrequencyEncoding
+from rfpp.ranges import Positive
 
 MATERIAL_CHANNELS = 10
 
@@ -27,7 +28,7 @@ class TriangleEmbedding(nn.Module):
         UserError: In `forward`, for textured triangles.
     """
 
-    def __init__(self, width: int, normal_frequencies: int):
+    def __init__(self, width: Positive, normal_frequencies: Positive):
         super().__init__()
         self.token = nn.Parameter(torch.empty(width).normal_(std=0.02))
         self.material_proj = nn.Linear(MATERIAL_CHANNELS, width)

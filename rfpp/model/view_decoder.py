@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import cycle
+from typing import Annotated
 
 import torch
 from jaxtyping import Float, Int
+from pydantic import Field
 from torch import Tensor, nn
 
 from rfpp.model.dpt import LEVELS, DPTHead
@@ -18,6 +20,7 @@ from rfpp.model.layers.encoding import RelativeSpatialEncoding, Rotation, rotate
 from rfpp.model.layers.ray_windows import ShiftedWindows, WholeView
 from rfpp.model.layers.scene_tokens import SceneTokens
 from rfpp.model.ray_bundle import RayBundleEmbedding
+from rfpp.ranges import Positive
 from rfpp.segments import Segments
 
 
@@ -39,15 +42,15 @@ class ViewDecoder(nn.Module):
 
     def __init__(
         self,
-        width: int,
-        heads: int,
-        hidden: int,
-        layers: int,
-        frequencies: int,
-        patch_size: int,
+        width: Positive,
+        heads: Positive,
+        hidden: Positive,
+        layers: Positive,
+        frequencies: Positive,
+        patch_size: Positive,
         gbuffer_channels: Sequence[str],
-        head_level_channels: Sequence[int],
-        head_channels: int,
+        head_level_channels: Annotated[Sequence[Positive], Field(min_length=LEVELS, max_length=LEVELS)],
+        head_channels: Positive,
         windows: WholeView | ShiftedWindows,
     ):
         super().__init__()

@@ -5,12 +5,11 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from rfpp.raycast.first_hit import GBuffer
+from rfpp.raycast.first_hit import GBuffer, channel
 from rfpp.raycast.light_loops import gathered_each
 from rfpp.raycast.light_sampler import LightSampler
 from rfpp.raycast.surface import Surface
 from rfpp.raycast.threads import over_rows
-from rfpp.scene.triangles import DIFFUSE, SPECULAR
 
 
 def direct_radiance(gbuffer: GBuffer, material: Float[np.ndarray, "m 10"]) -> Float[np.ndarray, "h w 3"]:
@@ -24,8 +23,8 @@ def direct_radiance(gbuffer: GBuffer, material: Float[np.ndarray, "m 10"]) -> Fl
     """
     if gbuffer.light is None:
         raise ValueError("a G-buffer without direct light has no outgoing radiance: see with_known_light")
-    seen: np.ndarray = material[gbuffer.triangle] * gbuffer.hit[..., None]
-    radiance: np.ndarray = gbuffer.light.diffuse * seen[..., DIFFUSE] + gbuffer.light.glossy * seen[..., SPECULAR]
+    albedo, specular = (channel(gbuffer, material, 0, name) for name in ("albedo", "specular"))
+    radiance: np.ndarray = gbuffer.light.diffuse * albedo + gbuffer.light.glossy * specular
     return radiance
 
 

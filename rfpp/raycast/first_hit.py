@@ -13,6 +13,7 @@ from rfpp.errors import UserError
 from rfpp.raycast.compiled import compiled
 from rfpp.raycast.embree import closest
 from rfpp.raycast.raycast import RayCaster
+from rfpp.raycast.texel_lookup import SeenTexels, find_texels
 from rfpp.raycast.threads import over_rows
 from rfpp.raycast.traces import Trace
 from rfpp.raycast.vectors import added, dot, in_frame, in_world, normal_of, scaled, triple, unit
@@ -71,6 +72,7 @@ class GBuffer:
         light: Direct light at the hits, if requested (`rfpp.raycast.known_light`).
         reflection: Reflections in glossy surfaces, if requested.
         points: Points along each side of a pixel (`rfpp.scene.camera.pixel_plane`).
+        texels: Texels at the hits, if the scene has any.
     """
 
     triangle: Int[np.ndarray, "h w"]
@@ -79,6 +81,7 @@ class GBuffer:
     light: DirectLight | None = None
     reflection: Reflection | None = None
     points: int = 1
+    texels: SeenTexels | None = None
 
     @property
     def hit(self) -> np.ndarray:
@@ -118,13 +121,10 @@ def first_hit(
     plane = pixel_plane(height, width, points).reshape(-1, 2)
     seen_from = plane, np.tan(np.radians(float(fov)) / 2), c2w.astype(np.float64)
     over_rows(count, _cast, caster.address, triangles.positions, triangles.normals, visible, *seen_from, *found)
-    triangle, normal, depth = found
-    return GBuffer(
-        triangle=triangle.reshape(height, width),
-        normal=normal.reshape(height, width, 3),
-        depth=depth.reshape(height, width),
-        points=points,
-    )
+    triangle, normal, depth = (of.reshape(height, width, *of.shape[1:]) for of in found)
+    has_texels = triangles.texels is not None
+    texels = find_texels(triangles, triangle, normal, depth, c2w, fov, points) if has_texels else None
+    return GBuffer(triangle, normal, depth, points=points, texels=texels)
 
 
 @compiled
@@ -196,7 +196,7 @@ def channel(
     if name in _MATERIAL_COLUMNS:
         seen: np.ndarray = np.take(material[:, _MATERIAL_COLUMNS[name]], gbuffer.triangle, axis=0)
         seen *= gbuffer.hit[..., None]
-        return seen
+        return seen if gbuffer.texels is None else gbuffer.texels.replaced(seen, _MATERIAL_COLUMNS[name])
     if name == "normal":
         return gbuffer.normal
     if name == "depth":

@@ -11,6 +11,7 @@ from rfpp.errors import UserError
 from rfpp.raycast.ggx import lobe_albedo
 from rfpp.raycast.lit_scene import LitScene
 from rfpp.raycast.raycast import RayCaster
+from rfpp.scene.texels import Texels
 from rfpp.scene.triangles import EMISSION, SceneTriangles
 
 #: Triangles of a light up to which Lambert's formula is used.
@@ -64,6 +65,7 @@ class LightSampler:
         bounds = [corners[light == number].reshape(-1, 3) for number in range(len(count))]
         middle = np.array([(own.min(0) + own.max(0)) / 2 for own in bounds]).reshape(-1, 3)
         reach = np.array([np.linalg.norm(own - at, axis=1).max() for own, at in zip(bounds, middle, strict=True)])
+        texels = Texels.none(len(triangles)) if triangles.texels is None else triangles.texels
         emitter = np.full(len(triangles), -1)
         emitter[emitters] = np.arange(len(emitters))
         self.scene = LitScene(
@@ -71,6 +73,9 @@ class LightSampler:
             positions=np.ascontiguousarray(triangles.positions, np.float32),
             normals=np.ascontiguousarray(triangles.normals, np.float32),
             material=np.ascontiguousarray(triangles.material, np.float32),
+            texel_level=texels.level,
+            first_texel=texels.first,
+            texels=texels.values,
             emitter=emitter,
             corners=corners,
             facing=facing,

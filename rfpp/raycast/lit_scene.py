@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float, Int
 from rfpp.raycast import ggx
 from rfpp.raycast.compiled import compiled, float64
 from rfpp.raycast.embree import closest
+from rfpp.raycast.texel_lookup import texel_at
 from rfpp.raycast.vectors import Triple, Vector, added, dot, normal_of, scaled, triple, unit
 
 #: Rays start and end this far from surfaces, in world units (a scene's edge is 1).
@@ -22,6 +23,7 @@ class LitScene(NamedTuple):
     Attributes:
         address: Address of the acceleration structure (`rfpp.raycast.embree`).
         positions, normals, material: Arrays of `SceneTriangles`.
+        texel_level, first_texel, texels: Arrays of `rfpp.scene.texels.Texels`; without any, all levels are 0.
         emitter: Index of each triangle's emitter, -1 for others.
         corners, radiance: Emitters, light by light.
         facing: Their unit normals; those of solid lights point outwards.
@@ -41,6 +43,9 @@ class LitScene(NamedTuple):
     positions: Float[np.ndarray, "m 3 3"]
     normals: Float[np.ndarray, "m 3 3"]
     material: Float[np.ndarray, "m 10"]
+    texel_level: Int[np.ndarray, " m"]
+    first_texel: Int[np.ndarray, " m"]
+    texels: Float[np.ndarray, "t 10"]
     emitter: Int[np.ndarray, " m"]
     corners: Float[np.ndarray, "e 3 3"]
     facing: Float[np.ndarray, "e 3"]
@@ -126,6 +131,17 @@ def slope_of(scene: LitScene, glossy: Vector, cosine: float, alpha: float, specu
         glossy[1] * (1 + specular[1] * more[1]),
         glossy[2] * (1 + specular[2] * more[2]),
     )
+
+
+@compiled
+def texel_hit(scene: LitScene, triangle: int, u: float, v: float, footprint: float) -> int:
+    """Return the row of the texel at a ray's hit, -1 for the triangle's own material; see `texel_at`."""
+    if scene.texel_level[triangle] == 0:
+        return -1
+    corners = scene.positions[triangle]
+    across = normal_of(triple(corners[0]), triple(corners[1]), triple(corners[2]))
+    area = np.sqrt(dot(across, across)) / 2
+    return texel_at(scene.texel_level, scene.first_texel, triangle, u, v, area, footprint)
 
 
 @compiled

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from rfpp.raycast import ggx
-from rfpp.raycast.compiled import compiled
+from rfpp.raycast.compiled import compiled, float64
 from rfpp.raycast.counted_random import Key, key_of, shift_of, spread
 from rfpp.raycast.ggx import lobe_and_pdf
 from rfpp.raycast.light_directions import light_sample, target_of
@@ -21,6 +21,7 @@ from rfpp.raycast.lit_scene import (
     scattering,
     slope_of,
     surface_at,
+    texel_hit,
     tinted,
 )
 from rfpp.raycast.polygon_light import BLOCK, unoccluded_each
@@ -218,10 +219,15 @@ def lobe_rays(
             weight = reflected / by_lobe
             seen_from, its_normal, back = surface_at(scene, triangle, a, b, direction, there)
             its_diffuse, its_specular = triple(scene.material[triangle]), triple(scene.material[triangle, 3:6])
+            its_alpha = alpha_of(scene, triangle)
+            texel = texel_hit(scene, triangle, a, b, distance * distance / max(by_lobe * count, 1.0))
+            if texel >= 0:
+                its_diffuse, its_specular = triple(scene.texels[texel]), triple(scene.texels[texel, 3:6])
+                its_alpha = max(float64(scene.texels[texel, 6]) ** 2, ggx.MIN_ALPHA)
             cosine = dot(its_normal, back)
             shines = max(its_specular[0], its_specular[1], its_specular[2]) > 0 and cosine > 0
             density = density_of_lobes(own_diffuse, own_specular, toward[2], by_lobe)
-            its_alpha = blurred(alpha_of(scene, triangle), density) if shines else -1.0
+            its_alpha = blurred(its_alpha, density) if shines else -1.0
             of_ray = key_of(own_key, 2 + number)
             diffuse_there, glossy_there = direct_at(
                 scene, seen_from, its_normal, back, its_alpha, its_specular, 1, of_ray, True, every, number

@@ -100,6 +100,11 @@ class Surface:
         slope, pose = np.tan(np.radians(float(fov)) / 2), c2w.astype(np.float64)
         scene, found = (triangles.positions, triangles.material), (point, normal, view, diffuse, specular, alpha)
         over_rows(len(pixel), _seen, *scene, pixel, *seen, plane, slope, pose, *found)
+        if (texels := gbuffer.texels) is not None:
+            texels.replaced(diffuse, DIFFUSE, pixel)
+            texels.replaced(specular, SPECULAR, pixel)
+            roughness = texels.replaced(np.sqrt(alpha)[:, None], ROUGHNESS, pixel)[:, 0]
+            alpha = np.maximum(roughness**2, ggx.MIN_ALPHA)
         return cls(point, normal, view, diffuse, specular, alpha)
 
     def __len__(self) -> int:

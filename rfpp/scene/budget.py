@@ -77,4 +77,4 @@ def _with_mesh(item: SceneObject, mesh: Mesh) -> SceneObject:
     if item.face_material is None or mesh is item.mesh:
         return item.model_copy(update={"mesh": mesh})
     nearest = cKDTree(item.mesh.corners.mean(axis=1)).query(mesh.corners.mean(axis=1))[1]
-    return item.model_copy(update={"mesh": mesh, "face_material": item.face_material[nearest]})
+    return item.model_copy(update={"mesh": mesh, "face_material": item.face_material[nearest], "texels": None})

@@ -19,6 +19,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from rfpp.errors import SceneError, one_line
 from rfpp.scene.mesh import Mesh, has_area, normalized, without_degenerate_faces
+from rfpp.scene.texels import Texels
 
 #: Larger lengths, angles and radiances are mistakes, and lose small values beside them in float32.
 FARTHEST, BRIGHTEST = 1e5, 1e9
@@ -131,6 +132,7 @@ class SceneObject(Strict):
         mesh: in its own coordinates, before `transform`.
         face_material: [F, 10] float32 rows of `SceneTriangles.material`, if the material varies over the faces; they
             replace `material`, which then holds their area-weighted mean, and the shading.
+        texels: Materials that vary within faces; without `face_material`, or if `transform` mirrors, they are not used.
     """
 
     noun = "object"
@@ -140,6 +142,7 @@ class SceneObject(Strict):
     material: Material
     transform: Transform = Transform()
     face_material: np.ndarray | None = None
+    texels: Texels | None = None
 
     @cached_property
     def world_mesh(self) -> Mesh:
@@ -156,6 +159,13 @@ class SceneObject(Strict):
             return None
         return self.face_material[has_area(self.transform.apply(self.mesh))].astype(np.float32)
 
+    @cached_property
+    def world_texels(self) -> Texels | None:
+        """`texels` of the faces of `world_mesh`, computed once."""
+        if self.texels is None or self.face_material is None or np.prod(np.sign(self.transform.scale)) < 0:
+            return None
+        return self.texels.only(has_area(self.transform.apply(self.mesh)))
+
     def __iter__(self) -> Iterator[tuple[str, Any]]:
         """Yield fields only, so that `dict(item)` is valid input; pydantic would include cached properties."""
         return ((name, getattr(self, name)) for name in type(self).model_fields)
@@ -163,13 +173,15 @@ class SceneObject(Strict):
     def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> SceneObject:
         """Copy the object with changes, without its cached properties, which pydantic copies."""
         copied = super().model_copy(update=update, deep=deep)
-        for name in ("world_mesh", "world_face_material"):
+        for name in ("world_mesh", "world_face_material", "world_texels"):
             copied.__dict__.pop(name, None)
         return copied
 
     @model_validator(mode="after")
     def _has_a_material_for_each_face(self) -> SceneObject:
         rows = self.face_material
+        if self.texels is not None and len(self.texels) != len(self.mesh):
+            raise ValueError(f"texels: of {len(self.texels)} faces, not {len(self.mesh)}: give texels for each face")
         if rows is None:
             return self
         if rows.shape != (len(self.mesh), 10):

@@ -11,6 +11,7 @@ from jaxtyping import Float
 from rfpp.scene.mesh import Mesh
 from rfpp.scene.shading_normals import corner_normals, shading_groups
 from rfpp.scene.spec import Material, Scene, SceneObject
+from rfpp.scene.texels import Texels
 
 #: Columns of `SceneTriangles.material`.
 DIFFUSE, SPECULAR, ROUGHNESS, EMISSION = slice(0, 3), slice(3, 6), slice(6, 7), slice(7, 10)
@@ -27,6 +28,7 @@ class SceneTriangles:
         object_offsets: [O + 1] int32, CSR style: object o owns triangles offsets[o]:offsets[o + 1].
         object_names: O names, in order.
         one_sided: Names of the emitters that shine only on the side from which their corners run counterclockwise.
+        texels: Materials that vary within triangles, for what cameras see.
     """
 
     positions: np.ndarray
@@ -35,6 +37,7 @@ class SceneTriangles:
     object_offsets: np.ndarray
     object_names: tuple[str, ...]
     one_sided: frozenset[str] = frozenset()
+    texels: Texels | None = None
 
     def __len__(self) -> int:
         return len(self.positions)
@@ -86,6 +89,7 @@ class SceneTriangles:
             object_offsets=np.cumsum([0, *map(len, meshes)], dtype=np.int32),
             object_names=tuple(item.name for item in objects),
             one_sided=frozenset(item.name for item in objects if item.material.one_sided),
+            texels=Texels.of_all([(item.world_texels, len(item.world_mesh)) for item in objects]),
         )
 
 

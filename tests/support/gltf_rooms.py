@@ -28,11 +28,11 @@ def room(light: dict | None = None, wall: dict | None = None, box: dict | None =
         quantized: Whether the box's positions are 16-bit integers.
     """
     builder, quarter = GltfBuilder(), np.sqrt(0.5)
-    floor = builder.node(builder.primitive(material=matte(0.7, 0.7, 0.7)), scale=[20, 1, 20])
+    floor = builder.node(builder.primitive(material=matte(0.7, 0.7, 0.7)), scale=[20, 20, 20])
     coordinates = {"TEXCOORD_0": builder.accessor(SQUARE_UV)}
     back = builder.node(
         builder.primitive(material=wall or matte(0.8, 0.2, 0.1), attributes=coordinates),
-        scale=[20, 1, 20], rotation=[quarter, 0, 0, quarter], translation=[0, 10, -10],
+        scale=[20, 20, 20], rotation=[quarter, 0, 0, quarter], translation=[0, 10, -10],
     )  # fmt: skip
     corners = builder.primitive(_BOX, _BOX_FACES[:, [0, 1, 2, 0, 2, 3]].ravel(), box or matte(0.1, 0.3, 0.8))
     if quantized:
@@ -62,6 +62,17 @@ def bricks() -> GltfBuilder:
     builder = room(POINT)
     material = builder.document["materials"][1]
     material["pbrMetallicRoughness"] |= {"baseColorFactor": [1, 1, 1, 1], "baseColorTexture": builder.texture(pixels)}
+    return builder
+
+
+def bumps() -> GltfBuilder:
+    """A wall with a normal map of domes."""
+    y, x = np.mgrid[-4:4:256j, -4:4:256j] % 1 - 0.5
+    inside = x**2 + y**2 < 0.2
+    normals = np.dstack([np.where(inside, 1.5 * x, 0), np.where(inside, -1.5 * y, 0), np.full_like(x, 1)])
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    builder = room(POINT)
+    builder.document["materials"][1]["normalTexture"] = builder.texture(np.round(normals * 127.5 + 127.5))
     return builder
 
 
@@ -112,7 +123,7 @@ def screen() -> GltfBuilder:
 
 ROOMS = {
     "point": lambda: room(POINT), "sun": lambda: room(SUN), "spot": lambda: room(SPOT), "bricks": bricks,
-    "leaves": leaves, "specular-glossiness": glossy, "emissive texture": screen,
+    "bumps": bumps, "leaves": leaves, "specular-glossiness": glossy, "emissive texture": screen,
     "quantized": lambda: room(POINT, quantized=True),
 }  # fmt: skip
 

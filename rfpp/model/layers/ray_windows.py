@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from rfpp.model.layers.attention import AttentionPattern
+from rfpp.ranges import Positive
 from rfpp.segments import Segments
 
 Positions = TypeVar("Positions", np.ndarray, Tensor)
@@ -33,7 +34,7 @@ class ShiftedWindows:
         size: Patches along a window's side.
     """
 
-    def __init__(self, size: int):
+    def __init__(self, size: Positive):
         self.size = size
 
     def __call__(self, views: int, rows: int, columns: int, device: torch.device) -> tuple[AttentionPattern, ...]:

@@ -11,6 +11,7 @@ from rfpp.model.layers.block import SelfBlock
 from rfpp.model.layers.encoding import RelativeSpatialEncoding
 from rfpp.model.layers.scene_tokens import SceneTokens
 from rfpp.model.pitg import PhysicsInformedTransport, Transported, TransportStates
+from rfpp.ranges import Positive
 
 
 class UnconstrainedTransport(nn.Module):
@@ -24,7 +25,7 @@ class UnconstrainedTransport(nn.Module):
 
     iterations = 0
 
-    def __init__(self, width: int, heads: int, hidden: int, layers: int, frequencies: int):
+    def __init__(self, width: Positive, heads: Positive, hidden: Positive, layers: Positive, frequencies: Positive):
         super().__init__()
         self.position = RelativeSpatialEncoding(width // heads, frequencies)
         self.blocks = nn.ModuleList(SelfBlock(width, heads, hidden) for _ in range(layers))

@@ -8,6 +8,7 @@ from torch import Tensor, nn
 
 from rfpp.batch import RaggedBatch
 from rfpp.model.layers.scene_tokens import SceneTokens
+from rfpp.ranges import NonNegative, Positive
 
 
 class TriangleTokens(nn.Module):
@@ -18,7 +19,7 @@ class TriangleTokens(nn.Module):
         registers: Registers per scene, placed at the mean of its vertices (RenderFormer has 16).
     """
 
-    def __init__(self, width: int, registers: int):
+    def __init__(self, width: Positive, registers: NonNegative):
         super().__init__()
         self.registers = nn.Parameter(torch.empty(registers, width).normal_(std=0.02))
 

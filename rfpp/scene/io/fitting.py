@@ -102,5 +102,6 @@ def _objects(parts: list[Part], path: Path) -> Iterator[SceneObject]:
                 smooth_shading=part.smooth,
             ),
             transform=Transform(translation=tuple(center.tolist()), normalize=False),
-            face_material=None if (rows == rows[0]).all() else rows,
+            face_material=None if (rows == rows[0]).all() and part.texels is None else rows,
+            texels=part.texels,
         )

@@ -31,12 +31,12 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from rfpp.errors import SceneError
-from rfpp.scene.io.gltf_json import POSITIVE, RGB, RGBA, SHARE, TEXT, Entry
+from rfpp.scene.io.gltf_json import NUMBER, POSITIVE, RGB, RGBA, SHARE, TEXT, Entry
 from rfpp.scene.io.gltf_primitive import Geometry
 from rfpp.scene.io.gltf_textures import GLOSSINESS, GltfTextures
 from rfpp.scene.io.image_texture import ImageTexture
 from rfpp.scene.io.imported_scene import GREY, name_of, plain_material
-from rfpp.scene.io.texture_detail import Pieces
+from rfpp.scene.io.pieces import Pieces
 from rfpp.scene.triangles import DIFFUSE, EMISSION, ROUGHNESS, SPECULAR
 
 #: Extensions of materials that are represented, or that say nothing beyond others.
@@ -64,8 +64,7 @@ class GltfSurface:
         """Names of what the material has and rows do not represent."""
         if self.material is None:
             return set()
-        names = {name.removeprefix("KHR_materials_") for name in self.material.entry("extensions").values} - _KNOWN
-        return names | ({"normal maps"} if "normalTexture" in self.material else set())
+        return {name.removeprefix("KHR_materials_") for name in self.material.entry("extensions").values} - _KNOWN
 
     @property
     def _is_textured(self) -> bool:
@@ -120,6 +119,36 @@ class GltfSurface:
                 picture, uv = self._lookup(self.material.entry("emissiveTexture"), color=True)
                 spread = np.maximum(spread, picture.spreads(pieces.of(uv))[:, :3].max(axis=1))
             return spread
+
+    def pixels_along(self, pieces: Pieces) -> Float[np.ndarray, " n"]:
+        along = np.zeros(len(pieces))
+        if self.material is None:
+            return along
+        with self._named():
+            for holder, name, color in (
+                (self._pbr, f"{self._color_name}Texture", True),
+                (self._pbr, "specularGlossinessTexture", True),
+                (self._pbr, "metallicRoughnessTexture", False),
+                (self.material, "normalTexture", False),
+            ):
+                if name in holder:
+                    picture, uv = self._lookup(holder.entry(name), color)
+                    along = np.maximum(along, picture.pixels_along(pieces.of(uv)))
+            return along
+
+    def normals(self, pieces: Pieces) -> Float[np.ndarray, "n 3"] | None:
+        if self.material is None or "normalTexture" not in self.material:
+            return None
+        with self._named():
+            info = self.material.entry("normalTexture")
+            scale = info.get("scale", NUMBER, 1.0)
+            normals = (2 * self._means(info, pieces, color=False)[:, :3] - 1) * (scale, scale, 1)
+            return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-6)
+
+    def coordinates(self, pieces: Pieces) -> Float[np.ndarray, "n 3 2"] | None:
+        if self.material is None or "normalTexture" not in self.material:
+            return None
+        return pieces.of(self._lookup(self.material.entry("normalTexture"), color=False)[1])
 
     @cached_property
     def _is_cut(self) -> bool:

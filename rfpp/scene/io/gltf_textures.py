@@ -46,6 +46,7 @@ class GltfTextures:
                 (glossy, "diffuseTexture"),
                 (glossy, "specularGlossinessTexture"),
                 (material, "emissiveTexture"),
+                (material, "normalTexture"),
             ):
                 with contextlib.suppress(SceneError):
                     source = self._source(holder.entry(key)) if key in holder else None

@@ -15,6 +15,7 @@ from scipy.spatial import cKDTree
 from rfpp.errors import SceneError
 from rfpp.scene.io.imported_scene import Part
 from rfpp.scene.mesh import same_positions
+from rfpp.scene.texels import Texels
 
 #: Maximum number of objects of training scenes.
 MAX_OBJECTS = 70
@@ -92,6 +93,7 @@ def joined(parts: Sequence[Part]) -> Part:
         faces=np.concatenate([part.faces + start for part, start in zip(parts, starts, strict=True)]),
         material=np.concatenate([part.material for part in parts]),
         one_sided=all(part.one_sided for part in parts),
+        texels=Texels.of_all([(part.texels, len(part)) for part in parts]),
     )
 
 

@@ -23,8 +23,10 @@ _SIDE_KEPT = 1024  # pixels along the longer side; 11 MB with all coarser copies
 _KEPT = 32  # pictures
 _TILE = 2**17  # pixels that are reduced at a time
 _SLICES = 32  # slices of pixels that are added one by one
+_TINY = 1.01  # pixels along a triangle that one point stands for
 _SIDE = 6  # cells along a triangle's side: 36 equal parts, each looked up at its center
 _CHUNK = 50_000  # triangles at a time: 45 MB
+_UNIFORM = 0.01  # standard deviation below which texels are left out
 
 #: 8-bit sRGB → linear.
 _LINEAR = np.where(
@@ -61,6 +63,12 @@ class ImageTexture:
     def means(self, uv: Float[np.ndarray, "f 3 2"]) -> Float[np.ndarray, "f 4"]:
         """Return red, green, blue and alpha of each triangle; (0, 0) is the image's upper left corner."""
         return _means(self._levels, uv)
+
+    def pixels_along(self, uv: Float[np.ndarray, "f 3 2"]) -> Float[np.ndarray, " f"]:
+        """Return the number of pixels along each triangle; 0 where the picture hardly varies."""
+        height, width = self._levels[0].shape[:2]
+        along = (np.ptp(uv, axis=1) * (width, height)).max(axis=1)
+        return np.where((self.spreads(uv) > _UNIFORM).any(axis=1), along, 0)
 
     def spreads(self, uv: Float[np.ndarray, "f 3 2"]) -> Float[np.ndarray, "f 4"]:
         """Return the standard deviation of these within each triangle."""
@@ -127,12 +135,13 @@ def _means_of_some(levels: list[np.ndarray], uv: Float[np.ndarray, "f 3 2"]) -> 
     extent = (np.ptp(uv, axis=1) * (width, height)).max(axis=1)
     wanted = np.log2(np.maximum(extent / _SIDE, 1))
     level = np.minimum(np.floor(wanted), len(levels) - 1).astype(int)
-    points = _CENTERS @ uv
+    level[extent <= _TINY] = -1  # within a pixel: one point is enough
     result = np.empty((len(uv), 4), np.float32)
     for number in np.unique(level):
-        chosen, pixels = level == number, levels[number]
-        size = np.array([pixels.shape[1], pixels.shape[0]])
-        x, y = np.moveaxis(np.minimum(np.floor(points[chosen] % 1.0 * size), size - 1).astype(int), -1, 0)
+        chosen, pixels = level == number, levels[max(number, 0)]
+        size, corners = np.array([pixels.shape[1], pixels.shape[0]]), uv[chosen]
+        points = _CENTERS @ corners if number >= 0 else corners.mean(axis=1, keepdims=True)
+        x, y = np.moveaxis(np.minimum(np.floor(points % 1.0 * size), size - 1).astype(int), -1, 0)
         result[chosen] = pixels[y, x].mean(axis=1, dtype=np.float32)
     return result
 

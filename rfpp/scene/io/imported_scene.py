@@ -14,6 +14,7 @@ from jaxtyping import Float, Int
 from rfpp.errors import SceneError, one_line
 from rfpp.scene.mesh import compacted, triangle_areas
 from rfpp.scene.spec import Camera
+from rfpp.scene.texels import Texels
 from rfpp.scene.triangles import EMISSION
 
 #: Reflectance of surfaces without material, and the specular albedo of plastics, glass and paint.
@@ -37,6 +38,7 @@ class Part:
         smooth: interpolate normals across edges flatter than 30 degrees.
         see_through: name of the transparent material and the reason; empty if the part is opaque.
         one_sided: emitted light leaves the front only.
+        texels: materials that vary within the faces.
 
     Raises:
         SceneError: If a face index is out of range, or a vertex or a material is NaN, infinite or too large.
@@ -49,6 +51,7 @@ class Part:
     smooth: bool
     see_through: str = ""
     one_sided: bool = False
+    texels: Texels | None = None
 
     def __post_init__(self) -> None:
         if len(self.faces) and not 0 <= self.faces.min() <= self.faces.max() < len(self.vertices):
@@ -76,7 +79,10 @@ class Part:
     def only(self, faces: np.ndarray) -> Part:
         """Return the part with some faces (mask or indices), without unused vertices."""
         used, renumbered = compacted(self.faces[faces], len(self.vertices))
-        return replace(self, vertices=self.vertices[used], faces=renumbered, material=self.material[faces])
+        texels = None if self.texels is None else self.texels.only(faces)
+        return replace(
+            self, vertices=self.vertices[used], faces=renumbered, material=self.material[faces], texels=texels
+        )
 
 
 @dataclass(frozen=True, eq=False)

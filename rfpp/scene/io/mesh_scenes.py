@@ -18,7 +18,8 @@ from rfpp.scene.io.image_texture import Textures, linear, require_few_pixels
 from rfpp.scene.io.imported_scene import DIELECTRIC, ImportedScene, Part, is_smooth, name_of, plain_material
 from rfpp.scene.io.limits import MAX_TEXT_BYTES, beside, read_bytes
 from rfpp.scene.io.mtl import ObjMaterial, ObjSurface, read_mtl
-from rfpp.scene.io.texture_detail import TEXTURE_TRIANGLES, Pieces, TexturedPart, detail_notice, with_detail
+from rfpp.scene.io.pieces import Pieces
+from rfpp.scene.io.texture_detail import TEXTURE_TRIANGLES, TexturedPart, detail_notice, with_detail
 from rfpp.scene.io.trimesh_files import TrimeshArrays, load_obj, load_ply, load_stl
 from rfpp.scene.triangles import DIFFUSE
 
@@ -50,6 +51,8 @@ def read_obj(path: Path, detail: int = TEXTURE_TRIANGLES, most: int | None = Non
     parts, added = with_detail(unfinished, detail, most)
     if textures.used:
         warnings.warn(f"{path}: {detail_notice(textures.used, added)}", stacklevel=4)
+    if left_out := sorted(set().union(*(material.left_out for material in materials.values()))):
+        warnings.warn(f"{path}: left out: {', '.join(left_out)}", stacklevel=4)
     if not any(name for name, _ in meshes) and len(parts) <= MAX_OBJECTS:
         parts = [piece for part in parts for piece in components(part)]
     return ImportedScene(path.stem, tuple(parts))

@@ -18,7 +18,7 @@ from rfpp.errors import SceneError, one_line
 from rfpp.scene.io.gltf_material import metallic_roughness
 from rfpp.scene.io.image_texture import ImageTexture, Textures
 from rfpp.scene.io.limits import beside, read_bytes, require_bounded
-from rfpp.scene.io.texture_detail import Pieces
+from rfpp.scene.io.pieces import Pieces
 from rfpp.scene.io.trimesh_files import TrimeshArrays
 from rfpp.scene.triangles import EMISSION
 
@@ -26,6 +26,7 @@ from rfpp.scene.triangles import EMISSION
 _DEFAULTS = {"kd": (0.8,) * 3, "ks": (0.5,) * 3, "ke": (0.0,) * 3, "ns": (250.0,), "illum": (2.0,), "pr": (0.5,),
              "pm": (0.0,), "d": (1.0,), "tr": (0.0,)}  # fmt: skip
 _MAPS = {"map_kd": "kd", "map_ke": "ke", "map_d": "d"}
+_OTHER_MAPS = ("bump", "disp", "decal", "norm", "refl")
 _MAX_BYTES = 2**24
 _HIGHLIGHT = 0.08  # twice a dielectric's F0: Blender writes 0.5 for it
 _TRANSPARENT_MODELS = (4, 6, 7, 9)
@@ -35,11 +36,12 @@ _MAP_OPTIONS = re.compile(r"(?:-[a-z]+(?: +(?:on|off|[a-z]|sphere|cube_\w+|[-+.\
 
 @dataclass
 class ObjMaterial:
-    """One `newmtl`: numbers and textures by statement in lower case."""
+    """One `newmtl`: numbers and textures by statement in lower case, and statements of textures that are not read."""
 
     name: str
     values: dict[str, list[float]] = field(default_factory=dict)
     textures: dict[str, Path] = field(default_factory=dict)
+    left_out: set[str] = field(default_factory=set)
 
     @property
     def see_through(self) -> str:
@@ -74,6 +76,13 @@ class ObjMaterial:
             return np.zeros(len(pieces))
         picture, uv = self._picture("kd", mesh, textures)
         return (picture.spreads(pieces.of(uv))[:, :3] * self.values.get("kd", [1.0] * 3)).max(axis=1)
+
+    def pixels_along(self, pieces: Pieces, mesh: TrimeshArrays, textures: Textures) -> Float[np.ndarray, " n"]:
+        """Return the pixels of its color's texture along each piece; 0 where it hardly varies."""
+        if "kd" not in self.textures:
+            return np.zeros(len(pieces))
+        picture, uv = self._picture("kd", mesh, textures)
+        return picture.pixels_along(pieces.of(uv))
 
     def _color(self, key: str, pieces: Pieces, mesh: TrimeshArrays, textures: Textures) -> Float[np.ndarray, "n 3"]:
         if key not in self.textures:
@@ -111,6 +120,15 @@ class ObjSurface:
     def spread(self, pieces: Pieces) -> Float[np.ndarray, " n"]:
         return self.material.spread(pieces, self.mesh, self.textures)
 
+    def pixels_along(self, pieces: Pieces) -> Float[np.ndarray, " n"]:
+        return self.material.pixels_along(pieces, self.mesh, self.textures)
+
+    def normals(self, pieces: Pieces) -> None:
+        return None
+
+    def coordinates(self, pieces: Pieces) -> None:
+        return None
+
 
 def read_mtl(path: Path) -> dict[str, ObjMaterial]:
     """Read the materials of a file by name. Raises SceneError naming the file and the line."""
@@ -129,6 +147,8 @@ def read_mtl(path: Path) -> dict[str, ObjMaterial]:
                 current.textures[_MAPS[key]] = beside(path.parent, _MAP_OPTIONS.sub("", rest, count=1))
             elif key in _DEFAULTS:
                 current.values[key] = _numbers(words, len(_DEFAULTS[key]))
+            elif key.startswith("map_") or key in _OTHER_MAPS:
+                current.left_out.add(one_line(key, 20))
     except SceneError as error:
         raise SceneError(f"{where}: {error}") from None
     return materials

@@ -1,4 +1,4 @@
-"""Subdivide triangles where their textures vary, because a triangle has one material.
+"""Subdivide triangles where their textures vary, because networks take one material per triangle.
 
 The triangles whose textures differ most from their mean, weighted by area, are divided into four until they look alike
 or a budget is spent. A smooth surface is divided as a whole: where a divided triangle met an undivided one, the
@@ -9,12 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from rfpp.scene.io.imported_scene import Part
+from rfpp.scene.io.pieces import Pieces, Surface
+from rfpp.scene.io.texture_baking import baked, levels_of
 
 #: Default number of triangles that textures may add to a file.
 TEXTURE_TRIANGLES = 20_000
@@ -24,69 +25,6 @@ _ALIKE = 0.04
 _SHARE = 0.25
 #: Share of the area of all `TexturedPart`s below which an error does not count.
 _SMALL = 1e-5
-
-
-@dataclass(frozen=True, eq=False)
-class Pieces:
-    """Parts of the faces of a mesh.
-
-    Attributes:
-        face: [N] their faces.
-        weights: [N, 3, 3] barycentric coordinates of their corners in these.
-        positions: [N, 3, 3] positions of their corners.
-    """
-
-    face: Int[np.ndarray, " n"]
-    weights: Float[np.ndarray, "n 3 3"]
-    positions: Float[np.ndarray, "n 3 3"]
-
-    @classmethod
-    def whole(cls, corners: Float[np.ndarray, "f 3 3"]) -> Pieces:
-        """Return each face as one piece."""
-        return cls(np.arange(len(corners)), np.broadcast_to(np.eye(3), (len(corners), 3, 3)), corners)
-
-    def __len__(self) -> int:
-        return len(self.face)
-
-    @property
-    def areas(self) -> Float[np.ndarray, " n"]:
-        a, b, c = np.moveaxis(self.positions, 1, 0)
-        return np.linalg.norm(np.cross(b - a, c - a), axis=-1) / 2
-
-    def of(self, corners: Float[np.ndarray, "f 3 c"]) -> Float[np.ndarray, "n 3 c"]:
-        """Interpolate values at the corners of the faces."""
-        return self.weights @ corners[self.face]
-
-    def only(self, chosen: Bool[np.ndarray, " n"]) -> Pieces:
-        """Return the chosen pieces."""
-        return Pieces(self.face[chosen], self.weights[chosen], self.positions[chosen])
-
-    def joined(self, others: Pieces) -> Pieces:
-        """Return the pieces and others behind them."""
-        pairs = ((getattr(self, name), getattr(others, name)) for name in ("face", "weights", "positions"))
-        return Pieces(*map(np.concatenate, pairs))
-
-    def quartered(self) -> Pieces:
-        """Return four pieces for each."""
-        return Pieces(np.tile(self.face, 4), _quarters(self.weights), _quarters(self.positions))
-
-
-def _quarters(corners: Float[np.ndarray, "n 3 c"]) -> Float[np.ndarray, "m 3 c"]:
-    """Return the four similar parts of triangles; neighbors have the same midpoints, bit by bit."""
-    a, b, c = np.moveaxis(corners, 1, 0)
-    ab, bc, ca = (a + b) / 2, (b + c) / 2, (c + a) / 2
-    return np.concatenate([np.stack(part, 1) for part in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))])
-
-
-@runtime_checkable
-class Surface(Protocol):
-    """A material with textures, on a mesh."""
-
-    def rows(self, pieces: Pieces) -> tuple[Float[np.ndarray, "n 10"], Bool[np.ndarray, " n"]]:
-        """Return the mean material of each piece, and a mask of pieces that are not cut out."""
-
-    def spread(self, pieces: Pieces) -> Float[np.ndarray, " n"]:
-        """Return the standard deviation of the textures within each piece."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,20 +60,24 @@ class TexturedPart:
         pieces = self.pieces.only(~chosen).joined(added)
         return replace(self, pieces=pieces, spread=np.concatenate([self.spread[~chosen], self.surface.spread(added)]))
 
-    def finished(self) -> Part:
-        """Return the part with its materials, without what is cut out."""
+    def finished(self, levels: Int[np.ndarray, " n"]) -> Part:
+        """Return the part with its materials and texels, without what is cut out.
+
+        Args:
+            levels: Divisions of each piece into texels.
+        """
         rows, present = self.surface.rows(self.pieces)
-        if len(self.pieces) == len(self.part):
-            return replace(self.part, material=rows).only(present)
-        vertices, faces = self.pieces.positions.reshape(-1, 3), np.arange(3 * len(rows)).reshape(-1, 3)
-        return replace(self.part, vertices=vertices, faces=faces, material=rows).only(present)
+        vertices, faces = self.part.vertices, self.part.faces
+        if len(self.pieces) > len(self.part):
+            vertices, faces = self.pieces.positions.reshape(-1, 3), np.arange(3 * len(rows)).reshape(-1, 3)
+        texels = baked(self.surface, self.pieces, levels) if levels.any() else None
+        return replace(self.part, vertices=vertices, faces=faces, material=rows, texels=texels).only(present)
 
 
 def detail_notice(textures: int, added: int) -> str:
     """Return what became of a file's textures."""
-    if not added:
-        return f"textures are averaged over each triangle ({textures})"
-    return f"textures became colors of triangles ({textures}), for which {added:,} triangles were added"
+    divided = f", for which {added:,} triangles were added" if added else ""
+    return f"textures ({textures}) are seen as they are; light and networks take one color per triangle{divided}"
 
 
 def with_detail(parts: Sequence[Part | TexturedPart], detail: int, most: int | None = None) -> tuple[list[Part], int]:
@@ -165,5 +107,7 @@ def with_detail(parts: Sequence[Part | TexturedPart], detail: int, most: int | N
             if chosen.any():
                 result[index] = result[index].divided(chosen)
                 room -= int(chosen.sum())
-    finished = [part.finished() if isinstance(part, TexturedPart) else part for part in result]
-    return finished, 3 * (at_first - room)
+    levels = levels_of([(result[index].surface, result[index].pieces) for index in textured])
+    for index, own in zip(textured, levels, strict=True):
+        result[index] = result[index].finished(own)
+    return result, 3 * (at_first - room)
