@@ -40,8 +40,8 @@ class Pieces:
         """Interpolate values at the corners of the faces."""
         return self.weights @ corners[self.face]
 
-    def only(self, chosen: Bool[np.ndarray, " n"]) -> Pieces:
-        """Return the chosen pieces."""
+    def only(self, chosen: Bool[np.ndarray, " n"] | Int[np.ndarray, " m"]) -> Pieces:
+        """Return some pieces (mask or indices)."""
         return Pieces(self.face[chosen], self.weights[chosen], self.positions[chosen])
 
     def joined(self, others: Pieces) -> Pieces:

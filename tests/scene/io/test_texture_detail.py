@@ -133,7 +133,7 @@ def test_pictures_of_obj_files_show(tmp_path: Path) -> None:
     (tmp_path / "it.mtl").write_text("newmtl it\nKs 0 0 0\nmap_Kd picture.png\n")
     corners = "v -0.5 -0.5 0\nv 0.5 -0.5 0\nv 0.5 0.5 0\nv -0.5 0.5 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\nvn 0 0 1\n"
     (tmp_path / "it.obj").write_text(f"mtllib it.mtl\n{corners}usemtl it\nf 1/1/1 2/2/1 3/3/1 4/4/1\n")
-    with pytest.warns(UserWarning, match=r"textures became colors of triangles \(1\)"):
+    with pytest.warns(UserWarning, match=r"textures \(1\) are seen as they are"):
         scene = load_scene(tmp_path / "it.obj", up="z", backdrop="none")
     item = next(item for item in scene.objects if not item.name.endswith("_light"))
     left = item.mesh.vertices[item.mesh.faces][..., 0].max(axis=1) < 1e-9
