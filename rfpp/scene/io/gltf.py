@@ -39,11 +39,14 @@ from rfpp.scene.io.gltf_primitive import Geometry
 from rfpp.scene.io.gltf_textures import GltfTextures
 from rfpp.scene.io.imported_scene import BEYOND, ImportedScene, Part, PunctualLight, name_of, plain_material, z_up
 from rfpp.scene.io.limits import require_bounded
+from rfpp.scene.io.texture_baking import MOST_TEXELS
 from rfpp.scene.io.texture_detail import TEXTURE_TRIANGLES, TexturedPart, detail_notice, with_detail
 from rfpp.scene.mesh import Mesh
 from rfpp.scene.spec import Camera
 
 _LUMENS_PER_WATT = 683.0
+#: Limit of texels of a scene that is sent again after every change.
+_RECEIVED_TEXELS = 1 << 18
 _PUNCTUAL = "KHR_lights_punctual"
 
 
@@ -57,7 +60,7 @@ def read_gltf(path: Path, detail: int = TEXTURE_TRIANGLES, most: int | None = No
 
 def received_glb(content: bytes, source: Path) -> ImportedScene:
     """Read a GLB file that is not on the disk; warnings name it `source`."""
-    return _scene(GltfFile.received(content), source, TEXTURE_TRIANGLES)
+    return _scene(GltfFile.received(content), source, TEXTURE_TRIANGLES, texels=_RECEIVED_TEXELS)
 
 
 def load_gltf_meshes(path: Path) -> tuple[Mesh, ...]:
@@ -70,7 +73,9 @@ def load_gltf_meshes(path: Path) -> tuple[Mesh, ...]:
     return tuple(Mesh(vertices, faces) for vertices, faces in placed)
 
 
-def _scene(file: GltfFile, path: Path, detail: int, most: int | None = None) -> ImportedScene:
+def _scene(
+    file: GltfFile, path: Path, detail: int, most: int | None = None, texels: int = MOST_TEXELS
+) -> ImportedScene:
     reader = _Reader(file)
     require_bounded(0, sum(map(reader.primitives, reader.poses)))
     reader.textures.require_few_pixels()
@@ -80,7 +85,7 @@ def _scene(file: GltfFile, path: Path, detail: int, most: int | None = None) -> 
             unfinished += reader.parts(index)
             cameras += reader.cameras(index)
             punctual_lights += reader.punctual_lights(index)
-        parts, added = with_detail(unfinished, detail, most)
+        parts, added = with_detail(unfinished, detail, most, texels)
     reader.warn(path, added)
     return ImportedScene(path.stem, tuple(parts), tuple(punctual_lights), tuple(cameras))
 

@@ -1,4 +1,4 @@
-"""Textures, averaged over each triangle, because networks take one material per triangle."""
+"""Pictures of textures, and their means over triangles."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import io
 import warnings
 from collections import OrderedDict
 from collections.abc import Callable, Hashable, Iterable
-from functools import cached_property
+from functools import cache, cached_property
 
 import numpy as np
 from jaxtyping import Float
@@ -23,8 +23,8 @@ _SIDE_KEPT = 1024  # pixels along the longer side; 11 MB with all coarser copies
 _KEPT = 32  # pictures
 _TILE = 2**17  # pixels that are reduced at a time
 _SLICES = 32  # slices of pixels that are added one by one
-_TINY = 1.01  # pixels along a triangle that one point stands for
-_SIDE = 6  # cells along a triangle's side: 36 equal parts, each looked up at its center
+_ROUNDING = 0.01  # pixels by which a part may be larger than a number of them
+_SIDE = 6  # parts along a triangle's side at most: 36 equal ones, each looked up at its center
 _CHUNK = 50_000  # triangles at a time: 45 MB
 _UNIFORM = 0.01  # standard deviation below which texels are left out
 
@@ -67,8 +67,7 @@ class ImageTexture:
     def pixels_along(self, uv: Float[np.ndarray, "f 3 2"]) -> Float[np.ndarray, " f"]:
         """Return the number of pixels along each triangle; 0 where the picture hardly varies."""
         height, width = self._levels[0].shape[:2]
-        along = (np.ptp(uv, axis=1) * (width, height)).max(axis=1)
-        return np.where((self.spreads(uv) > _UNIFORM).any(axis=1), along, 0)
+        return np.where((self.spreads(uv) > _UNIFORM).any(axis=1), _extent(uv, width, height), 0)
 
     def spreads(self, uv: Float[np.ndarray, "f 3 2"]) -> Float[np.ndarray, "f 4"]:
         """Return the standard deviation of these within each triangle."""
@@ -132,30 +131,35 @@ def _means(levels: list[np.ndarray], uv: Float[np.ndarray, "f 3 2"]) -> Float[np
 
 def _means_of_some(levels: list[np.ndarray], uv: Float[np.ndarray, "f 3 2"]) -> Float[np.ndarray, "f 4"]:
     height, width = levels[0].shape[:2]
-    extent = (np.ptp(uv, axis=1) * (width, height)).max(axis=1)
-    wanted = np.log2(np.maximum(extent / _SIDE, 1))
-    level = np.minimum(np.floor(wanted), len(levels) - 1).astype(int)
-    level[extent <= _TINY] = -1  # within a pixel: one point is enough
-    result = np.empty((len(uv), 4), np.float32)
-    for number in np.unique(level):
-        chosen, pixels = level == number, levels[max(number, 0)]
-        size, corners = np.array([pixels.shape[1], pixels.shape[0]]), uv[chosen]
-        points = _CENTERS @ corners if number >= 0 else corners.mean(axis=1, keepdims=True)
+    extent = _extent(uv, width, height)
+    level = np.minimum(np.floor(np.log2(np.maximum(extent / _SIDE, 1))), len(levels) - 1).astype(int)
+    side = np.clip(np.ceil(extent - _ROUNDING), 1, _SIDE).astype(int)  # where few pixels are covered, few are read
+    kind, result = level * (_SIDE + 1) + side, np.empty((len(uv), 4), np.float32)
+    for number in np.unique(kind).tolist():
+        chosen, (level_read, cells) = kind == number, divmod(number, _SIDE + 1)
+        pixels = levels[level_read]
+        size = np.array([pixels.shape[1], pixels.shape[0]])
+        points = _centers(cells) @ uv[chosen]
         x, y = np.moveaxis(np.minimum(np.floor(points % 1.0 * size), size - 1).astype(int), -1, 0)
-        result[chosen] = pixels[y, x].mean(axis=1, dtype=np.float32)
+        result[chosen] = pixels[y, x].mean(axis=1, dtype=np.float32) if cells > 1 else pixels[y[:, 0], x[:, 0]]
     return result
 
 
-def _centers() -> np.ndarray:
-    """Return barycentric coordinates [36, 3] of the centers of a triangle's equal parts."""
-    cells = [(i, j) for i in range(_SIDE) for j in range(_SIDE - i)]
-    upright = np.array([(i + 1 / 3, j + 1 / 3) for i, j in cells])
-    inverted = np.array([(i + 2 / 3, j + 2 / 3) for i, j in cells if i + j < _SIDE - 1])
-    u, v = np.concatenate([upright, inverted]).T / _SIDE
+def _extent(uv: Float[np.ndarray, "f 3 2"], width: int, height: int) -> Float[np.ndarray, " f"]:
+    """Return the number of pixels along each triangle."""
+    a, b, c = np.moveaxis(uv, 1, 0)
+    along = np.maximum(np.maximum(a, b), c) - np.minimum(np.minimum(a, b), c)
+    return np.maximum(along[:, 0] * width, along[:, 1] * height)
+
+
+@cache
+def _centers(side: int) -> Float[np.ndarray, "n 3"]:
+    """Return barycentric coordinates [side²] of the centers of a triangle's equal parts."""
+    cells = [(i, j) for i in range(side) for j in range(side - i)]
+    upright = [(i + 1 / 3, j + 1 / 3) for i, j in cells]
+    inverted = [(i + 2 / 3, j + 2 / 3) for i, j in cells if i + j < side - 1]
+    u, v = np.array(upright + inverted).T / side
     return np.stack([1 - u - v, u, v], axis=1)
-
-
-_CENTERS = _centers()
 
 
 def _pixels(content: bytes, color: bool, left: int) -> tuple[Float[np.ndarray, "h w 4"], int]:

@@ -1,6 +1,6 @@
 """MTL, the materials of OBJ files, as rows of `SceneTriangles.material` (data/conventions.md).
 
-Numbers mean what Blender means by them. Colors are linear; textures are sRGB, averaged over each triangle and
+Numbers mean what Blender means by them. Colors are linear; textures are sRGB, averaged over each piece and
 multiplied with their color. trimesh omits what it cannot read, such as a missing texture; here it is an error.
 """
 

@@ -10,29 +10,30 @@ from jaxtyping import Float, Int
 from rfpp.scene.io.pieces import Pieces, Surface
 from rfpp.scene.texels import NORMAL, Texels, rows_of
 
-#: Parts of the finest level of all triangles of a file together: 56 MB with the coarser ones.
-_MOST_TEXELS = 1 << 20
+#: Default limit of the finest parts of all triangles of a file: 56 MB with the coarser ones.
+MOST_TEXELS = 1 << 20
 #: Divisions of one triangle; `image_texture` keeps pictures of 2¹⁰ pixels.
 _MOST_DIVISIONS = 10
 #: Parts that are computed at a time.
 _CHUNK = 1 << 17
 
 
-def levels_of(textured: Sequence[tuple[Surface, Pieces]]) -> list[Int[np.ndarray, " n"]]:
+def levels_of(textured: Sequence[tuple[Surface, Pieces]], most: int) -> list[Int[np.ndarray, " n"]]:
     """Return how often each surface's pieces are divided: until a part is as large as a pixel of its textures.
 
-    If that takes too many parts, the largest ones of all surfaces have about the same size.
+    Args:
+        most: Limit of all parts; if more are needed, the largest ones of all surfaces have about the same size.
     """
     wanted, sides = [], []
     for surface, own in textured:
-        pixels = np.maximum(surface.pixels_along(own), 1.0)
+        pixels = np.maximum(np.nan_to_num(surface.pixels_along(own)), 1.0)
         wanted.append(np.minimum(np.ceil(np.log2(pixels) - 1e-6), _MOST_DIVISIONS).astype(np.int64))
         sides.append(np.maximum(np.sqrt(own.areas), 1e-30))
     if not wanted:
         return []
     every, side = np.concatenate(wanted), np.concatenate(sides)
     levels, smallest = every, float((side / 2.0**every).min())
-    while (4**levels)[levels > 0].sum() > _MOST_TEXELS:
+    while (4**levels)[levels > 0].sum() > most:
         smallest *= 1.1
         levels = np.minimum(every, np.maximum(np.ceil(np.log2(side / smallest)), 0).astype(np.int64))
     return np.split(levels, np.cumsum([len(own) for own in wanted])[:-1])

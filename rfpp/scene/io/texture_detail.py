@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float, Int
 
 from rfpp.scene.io.imported_scene import Part
 from rfpp.scene.io.pieces import Pieces, Surface
-from rfpp.scene.io.texture_baking import baked, levels_of
+from rfpp.scene.io.texture_baking import MOST_TEXELS, baked, levels_of
 
 #: Default number of triangles that textures may add to a file.
 TEXTURE_TRIANGLES = 20_000
@@ -80,12 +80,15 @@ def detail_notice(textures: int, added: int) -> str:
     return f"textures ({textures}) are seen as they are; light and networks take one color per triangle{divided}"
 
 
-def with_detail(parts: Sequence[Part | TexturedPart], detail: int, most: int | None = None) -> tuple[list[Part], int]:
+def with_detail(
+    parts: Sequence[Part | TexturedPart], detail: int, most: int | None = None, texels: int = MOST_TEXELS
+) -> tuple[list[Part], int]:
     """Return finished parts, and the number of added triangles.
 
     Args:
         detail: Triangles that may be added.
         most: Triangles that the parts may have in all, if none are left out; None: any number.
+        texels: Finest texels that they may have.
     """
     total = sum(len(part.part if isinstance(part, TexturedPart) else part) for part in parts)
     at_first = room = max(0, detail if most is None else min(detail, most - total)) // 3
@@ -107,7 +110,7 @@ def with_detail(parts: Sequence[Part | TexturedPart], detail: int, most: int | N
             if chosen.any():
                 result[index] = result[index].divided(chosen)
                 room -= int(chosen.sum())
-    levels = levels_of([(result[index].surface, result[index].pieces) for index in textured])
+    levels = levels_of([(result[index].surface, result[index].pieces) for index in textured], texels)
     for index, own in zip(textured, levels, strict=True):
         result[index] = result[index].finished(own)
     return result, 3 * (at_first - room)

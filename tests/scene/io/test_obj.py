@@ -81,9 +81,7 @@ def test_textures_are_averaged_and_their_rows_count_from_below(tmp_path: Path) -
     mtl = "newmtl it\nKs 0 0 0\nmap_Kd -s 1 1 1 -clamp on two tone.png\n"
     low = "vt 0 0\nvt 1 0\nvt 1 0.4\nvt 0 0.4\n"
     for coordinates, expected in ((UV.replace(" 0\n", " 0.6\n"), 1), (low, 0)):
-        with pytest.warns(
-            UserWarning, match=r"textures \(1\) are seen as they are; .* per triangle$"
-        ):
+        with pytest.warns(UserWarning, match=r"textures \(1\) are seen as they are; .* per triangle$"):
             (item,) = surfaces(tmp_path, SQUARE + coordinates + "usemtl it\nf 1/1 2/2 3/3 4/4\n", mtl)
         np.testing.assert_allclose(item.material.diffuse, expected, atol=0.01)
 
