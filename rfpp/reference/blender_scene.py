@@ -6,12 +6,16 @@ term. Emissive triangles keep their reflectance, emit on both sides and are invi
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from types import ModuleType
 
 import numpy as np
 
 from rfpp.errors import SceneError
 from rfpp.scene.triangles import DIFFUSE, EMISSION, ROUGHNESS, SPECULAR, SceneTriangles
+
+#: Materials of one mesh that differ in more than the diffuse albedo; more become attributes of the mesh.
+_MOST_SLOTS = 64
 
 
 def add_geometry(bpy: ModuleType, triangles: SceneTriangles) -> None:
@@ -53,15 +57,20 @@ def _mesh(bpy: ModuleType, name: str, triangles: SceneTriangles, part: np.ndarra
     mesh.polygons.add(count)
     mesh.polygons.foreach_set("loop_start", np.arange(0, 3 * count, 3, dtype=np.int32))
 
-    diffuse, others = triangles.material[part][:, DIFFUSE], np.delete(triangles.material[part], DIFFUSE, axis=1)
-    varying = bool((diffuse != diffuse[0]).any())
+    rows = triangles.material[part]
+    diffuse, others = rows[:, DIFFUSE], np.delete(rows, DIFFUSE, axis=1)
+    varying = {"diffuse": diffuse} if (diffuse != diffuse[0]).any() else {}
     _, first, slot = np.unique(others, axis=0, return_index=True, return_inverse=True)
-    for row in triangles.material[part][first]:
-        mesh.materials.append(_material(bpy, row, "diffuse" if varying else None, name in triangles.one_sided))
+    if len(first) > _MOST_SLOTS:
+        first, slot = np.zeros(1, np.int64), np.zeros(count, np.int64)
+        roughness = np.repeat(rows[:, ROUGHNESS], 3, axis=1)
+        varying |= {"specular": rows[:, SPECULAR], "roughness": roughness, "emission": rows[:, EMISSION]}
+    for row in rows[first]:
+        mesh.materials.append(_material(bpy, row, varying.keys(), name in triangles.one_sided))
     mesh.polygons.foreach_set("material_index", slot.reshape(-1).astype(np.int32))
-    if varying:
-        colors = mesh.color_attributes.new("diffuse", "FLOAT_COLOR", "CORNER")
-        colors.data.foreach_set("color", _flat(np.insert(np.repeat(diffuse, 3, axis=0), 3, 1, axis=1)))
+    for attribute, values in varying.items():
+        colors = mesh.color_attributes.new(attribute, "FLOAT_COLOR", "CORNER")
+        colors.data.foreach_set("color", _flat(np.insert(np.repeat(values, 3, axis=0), 3, 1, axis=1)))
 
     mesh.update(calc_edges=True)
     # setting normals on an unvalidated mesh crashes Blender
@@ -72,8 +81,12 @@ def _mesh(bpy: ModuleType, name: str, triangles: SceneTriangles, part: np.ndarra
     return mesh
 
 
-def _material(bpy: ModuleType, row: np.ndarray, diffuse_attribute: str | None, is_one_sided: bool):
-    """Return diffuse + GGX (+ emission) for one row of `SceneTriangles.material`."""
+def _material(bpy: ModuleType, row: np.ndarray, attributes: Collection[str], is_one_sided: bool):
+    """Return diffuse + GGX (+ emission) for one row of `SceneTriangles.material`.
+
+    Args:
+        attributes: Names of those that vary over the mesh and are attributes of it.
+    """
     material = bpy.data.materials.new("surface")
     material.use_nodes = True
     tree = material.node_tree
@@ -91,17 +104,23 @@ def _material(bpy: ModuleType, row: np.ndarray, diffuse_attribute: str | None, i
         tree.links.new(second.outputs[0], total.inputs[1])
         return total
 
+    def varies(shader, socket: str, name: str, output: str = "Color") -> None:
+        if name in attributes:
+            attribute = tree.nodes.new("ShaderNodeAttribute")
+            attribute.attribute_name = name
+            tree.links.new(attribute.outputs[output], shader.inputs[socket])
+
     diffuse = node("ShaderNodeBsdfDiffuse", Color=_rgba(row[DIFFUSE]), Roughness=0.0)
-    if diffuse_attribute:
-        attribute = tree.nodes.new("ShaderNodeAttribute")
-        attribute.attribute_name = diffuse_attribute
-        tree.links.new(attribute.outputs["Color"], diffuse.inputs["Color"])
+    varies(diffuse, "Color", "diffuse")
     glossy = node("ShaderNodeBsdfAnisotropic", Color=_rgba(row[SPECULAR]), Roughness=float(row[ROUGHNESS][0]))
     glossy.distribution = "MULTI_GGX"
+    varies(glossy, "Color", "specular")
+    varies(glossy, "Roughness", "roughness", "Fac")
     surface = added(diffuse, glossy)
-    strength = float(row[EMISSION].max())
-    if strength > 0:
+    strength = 1.0 if "emission" in attributes else float(row[EMISSION].max())
+    if row[EMISSION].max() > 0:
         light = node("ShaderNodeEmission", Color=_rgba(row[EMISSION] / strength), Strength=strength)
+        varies(light, "Color", "emission")
         surface = added(surface, _on_front(tree, light) if is_one_sided else light)
         material.cycles.emission_sampling = "FRONT" if is_one_sided else "FRONT_BACK"
     tree.links.new(surface.outputs[0], tree.nodes.new("ShaderNodeOutputMaterial").inputs["Surface"])

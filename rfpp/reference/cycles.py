@@ -26,6 +26,7 @@ from rfpp.errors import MissingDependencyError, UserError
 from rfpp.imaging.exr import ImageFileError, read_exr
 from rfpp.ranges import NonNegative, NonNegativeFloat, Positive
 from rfpp.reference.blender_scene import add_geometry
+from rfpp.reference.texel_triangles import divided
 from rfpp.scene.triangles import SceneTriangles
 
 #: Passes of `render_passes`: name → (Blender's switch, layer name in its files, channels).
@@ -139,7 +140,7 @@ def render_passes(
     with _quiet(), _memory_folder() as folder:
         _configure(_empty_scene(bpy), settings, height, width)
         _enable_passes(bpy.context.view_layer, passes)
-        add_geometry(bpy, triangles)
+        add_geometry(bpy, divided(triangles))
         views = [
             _render_view(bpy, pose, float(angle), folder / f"{view}.exr", passes)
             for view, (pose, angle) in enumerate(zip(c2w, fov, strict=True))

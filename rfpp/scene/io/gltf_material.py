@@ -12,9 +12,9 @@ With `KHR_materials_pbrSpecularGlossiness`: diffuse · (1 − largest specular),
 
 F0 is glTF's reflectance at normal incidence, and the specular albedo here at every angle: there is no Fresnel term. The
 two albedos add up to at most 1. Textures of base color, metallic and roughness, and emission are multiplied with the
-factors after being averaged over each texel or triangle, vertex colors with the base color. Of an emissive texture less than a
-tenth of its brightest triangle counts as none: what glows is invisible to the camera, and most such textures are dark
-but for a few lights. Without a material: gray.
+factors after being averaged over each texel or triangle, vertex colors with the base color. Of an emissive texture less
+than a tenth of its brightest triangle counts as none: what glows is invisible to the camera, and most such textures are
+dark but for a few lights. Without a material: gray.
 
 `MASK` leaves out triangles that are transparent in the mean, and so does `BLEND`, at 0.5, with a texture whose alpha is
 that of a mask. Where textures vary, triangles are subdivided, see `texture_detail`.

@@ -67,8 +67,8 @@ def load_scene(
         triangles: Maximum number of triangles; larger scenes are decimated.
         up: Up axis of OBJ (default y), PLY and STL files (default z); glTF is always y.
         transparent: Treatment of transparent surfaces, which cannot be represented.
-        detail: Number of triangles that may be added where textures vary. Cameras see textures as they are; networks, and
-            light between surfaces, take one color per triangle.
+        detail: Number of triangles that may be added where textures vary. Cameras see textures as they are; networks
+            and light between surfaces take one color per triangle.
         backdrop: Surroundings of a foreign scene without camera, light and floor: floor, corner (with two walls), none.
 
     Raises:
