@@ -24,19 +24,23 @@ def levels_of(textured: Sequence[tuple[Surface, Pieces]], most: int) -> list[Int
     Args:
         most: Limit of all parts; if more are needed, the largest ones of all surfaces have about the same size.
     """
-    wanted, sides = [], []
-    for surface, own in textured:
-        pixels = np.maximum(np.nan_to_num(surface.pixels_along(own)), 1.0)
-        wanted.append(np.minimum(np.ceil(np.log2(pixels) - 1e-6), _MOST_DIVISIONS).astype(np.int64))
-        sides.append(np.maximum(np.sqrt(own.areas), 1e-30))
-    if not wanted:
-        return []
-    every, side = np.concatenate(wanted), np.concatenate(sides)
-    levels, smallest = every, float((side / 2.0**every).min())
-    while (4**levels)[levels > 0].sum() > most:
+    levels = []
+    for surface, pieces in textured:
+        pixels = np.maximum(np.nan_to_num(surface.pixels_along(pieces)), 1.0)
+        levels.append(np.minimum(np.ceil(np.log2(pixels) - 1e-6), _MOST_DIVISIONS).astype(np.int64))
+    varied = [number for number, level in enumerate(levels) if level.any()]
+    if not varied:
+        return levels
+    wanted = np.concatenate([levels[number] for number in varied])
+    side = np.maximum(np.sqrt(np.concatenate([textured[number][1].areas for number in varied])), 1e-30)
+    fitting, smallest = wanted, float((side / 2.0**wanted).min())
+    while (4**fitting)[fitting > 0].sum() > most:
         smallest *= 1.1
-        levels = np.minimum(every, np.maximum(np.ceil(np.log2(side / smallest)), 0).astype(np.int64))
-    return np.split(levels, np.cumsum([len(own) for own in wanted])[:-1])
+        fitting = np.minimum(wanted, np.maximum(np.ceil(np.log2(side / smallest)), 0).astype(np.int64))
+    ends = np.cumsum([len(levels[number]) for number in varied])
+    for number, own in zip(varied, np.split(fitting, ends[:-1]), strict=True):
+        levels[number] = own
+    return levels
 
 
 def baked(surface: Surface, pieces: Pieces, levels: Int[np.ndarray, " n"]) -> Texels:
