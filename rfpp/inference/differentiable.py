@@ -13,8 +13,8 @@ from rfpp.inference.plan import require_memory
 from rfpp.inference.renderer import Renderer
 from rfpp.inference.tangents import DifferentiableInputs, change_of
 from rfpp.radiosity.refinement import Refinement
-from rfpp.scene.packed import PackedScene, pack
-from rfpp.scene.spec import Camera, Scene
+from rfpp.scene.io.loading import AnyScene, packed_scene
+from rfpp.scene.spec import Camera
 
 #: Memory of each sample for the backward pass, measured at 128², 2 × 2 samples a pixel and two albedos.
 _BYTES_PER_POINT = 8000
@@ -56,7 +56,7 @@ class DifferentiableRenderer:
 
     def render(
         self,
-        scene: Scene | PackedScene,
+        scene: AnyScene,
         materials: Materials,
         resolution: int | tuple[int, int] | None = None,
         cameras: Sequence[Camera] | None = None,
@@ -65,7 +65,7 @@ class DifferentiableRenderer:
         """Return the linear radiance seen by each camera, equal to that of `Renderer.render` up to rounding.
 
         Args:
-            scene: See `Renderer.render`.
+            scene: See `Renderer.render`. Instead of textures it has the colors of triangles.
             materials: Object → property → value in place of the scene's: `diffuse`, `specular` and `emissive` [3] and
                 `roughness` [], as in `rfpp.scene.spec.Material`. Values that require a gradient get one.
             resolution: See `Renderer.render`.
@@ -76,7 +76,8 @@ class DifferentiableRenderer:
             SceneError: As for `Renderer.render`.
             UserError: As for `Renderer.render`, and for an object or property that does not exist or an invalid value.
         """
-        packed = pack(scene) if cameras is None else pack(scene).seen_by(cameras)
+        packed = packed_scene(scene)
+        packed = packed if cameras is None else packed.seen_by(cameras)
         tensors = MaterialTensors.of(packed, materials, self.renderer.device)
         plan = self.renderer.planned(tensors.scene, resolution, **sampling)
         require_memory(*plan.size, plan.points, len(packed.fov) * _BYTES_PER_POINT)

@@ -22,9 +22,9 @@ from rfpp.inference.radiosity_engine import RadiosityEngine
 from rfpp.model.layers.matrix_precision import matrix_dtype
 from rfpp.model.renderformer_pp import RenderFormerPP
 from rfpp.radiosity.radiosity import Radiosity
-from rfpp.scene.io.loading import load_scene
-from rfpp.scene.packed import PackedScene, pack
-from rfpp.scene.spec import Camera, Scene
+from rfpp.scene.io.loading import AnyScene, packed_scene
+from rfpp.scene.packed import PackedScene
+from rfpp.scene.spec import Camera
 
 
 class Renderer:
@@ -102,7 +102,7 @@ class Renderer:
 
     def render(
         self,
-        scene: Scene | PackedScene | Path | str,
+        scene: AnyScene,
         resolution: int | tuple[int, int] | None = None,
         cameras: Sequence[Camera] | None = None,
         light_samples: int = 16,
@@ -128,7 +128,7 @@ class Renderer:
 
     def views(
         self,
-        scene: Scene | PackedScene | Path | str,
+        scene: AnyScene,
         resolution: int | tuple[int, int] | None = None,
         cameras: Sequence[Camera] | None = None,
         light_samples: int = 16,
@@ -137,13 +137,13 @@ class Renderer:
         is_refined: bool = True,
     ) -> Iterator[Image]:
         """Yield the images of `render`, each as soon as it is finished, with or without the refinement."""
-        packed = pack(load_scene(scene) if isinstance(scene, Path | str) else scene)
+        packed = packed_scene(scene)
         packed = packed if cameras is None else packed.seen_by(cameras)
         plan = self.planned(packed, resolution, light_samples, supersampling, transports)
         return self._checked(plan.scene, self.engine.views(plan, is_refined=is_refined))
 
     def render_lights(
-        self, scene: Scene | PackedScene, resolution: int | tuple[int, int] | None = None, **sampling: int | None
+        self, scene: AnyScene, resolution: int | tuple[int, int] | None = None, **sampling: int | None
     ) -> dict[str, Float[np.ndarray, "v h w 3"]]:
         """Return the unrefined images of each light alone, by the name of its object; they add up to the whole.
 
@@ -153,13 +153,13 @@ class Renderer:
         Raises:
             UserError: As for `render`, and for a model that is not linear in lights.
         """
-        plan = self.planned(pack(scene), resolution, **sampling)
+        plan = self.planned(packed_scene(scene), resolution, **sampling)
         self.require_linear("lights")
         alone = {name: self.engine.views(plan, name, False) for name in plan.scene.triangles.light_names}
         return {name: np.stack(list(self._checked(plan.scene, views))) for name, views in alone.items()}
 
     def render_bounces(
-        self, scene: Scene | PackedScene, resolution: int | tuple[int, int] | None = None, **sampling: int | None
+        self, scene: AnyScene, resolution: int | tuple[int, int] | None = None, **sampling: int | None
     ) -> Float[np.ndarray, "n v h w 3"]:
         """Return the unrefined light after one reflection, after two, …; they add up to the whole.
 
@@ -168,7 +168,7 @@ class Renderer:
         Raises:
             UserError: As for `render`, and for a model that is not linear in bounces.
         """
-        plan = self.planned(pack(scene), resolution, **sampling)
+        plan = self.planned(packed_scene(scene), resolution, **sampling)
         engine = self.require_linear("bounces")
         return np.stack(list(self._checked(plan.scene, engine.bounces(plan))), axis=1)
 

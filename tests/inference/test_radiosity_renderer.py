@@ -1,6 +1,7 @@
 """Rendering with radiosity: lights and bounces apart, edits, and the refinement."""
 
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -111,6 +112,13 @@ class TestBouncesApart:
         np.testing.assert_allclose(first, renderer().render(alone, light_samples=4), rtol=1e-2)
         assert 0 < np.max(others) < 0.01 * first.max()  # lamps reflect a little
         assert apart[1].max() > 0.05 * apart[0].max()
+
+
+def test_lights_and_bounces_of_a_file_add_up():
+    file = Path(__file__).parents[2] / "data/scenes/cornell_box.json"
+    whole, lights = renderer().render(file, 16), renderer().render_lights(f"{file}", 16)
+    np.testing.assert_allclose(sum(lights.values()), whole, rtol=1e-4, atol=1e-6)
+    np.testing.assert_allclose(renderer().render_bounces(file, 16).sum(0), whole, rtol=1e-4, atol=1e-6)
 
 
 @pytest.mark.parametrize("parts", ["lights", "bounces"])

@@ -22,7 +22,7 @@ from rfpp.scene.io.limits import require_bounded
 from rfpp.scene.io.mesh_scenes import read_obj, read_ply, read_stl
 from rfpp.scene.io.renderformer_json import load_json
 from rfpp.scene.io.texture_detail import TEXTURE_TRIANGLES
-from rfpp.scene.packed import PackedScene
+from rfpp.scene.packed import PackedScene, pack
 from rfpp.scene.spec import Scene
 
 #: Suffix → reader and the file's up axis; None if the reader converts it.
@@ -44,6 +44,8 @@ _CHOICES = {
     "backdrop": ("floor", "corner", "none"),
 }
 _MAX_FILES = 1000
+#: A scene, or its file.
+AnyScene = Scene | PackedScene | Path | str
 _MANY_TRIANGLES = 80_000  # maximum of training scenes
 
 
@@ -110,6 +112,11 @@ def load_scene(
     except SceneError as error:
         raise SceneError(f"{path}: {error}") from None
     return scene if triangles is None else within_budget(scene, triangles, f"{path}")
+
+
+def packed_scene(scene: AnyScene) -> PackedScene:
+    """Return the triangles and cameras of a scene or a scene file. Raises SceneError like `load_scene`."""
+    return pack(load_scene(scene) if isinstance(scene, Path | str) else scene)
 
 
 def _imported(
