@@ -164,7 +164,8 @@ class SceneObject(Strict):
         """`texels` of the faces of `world_mesh`, computed once."""
         if self.texels is None or self.face_material is None or np.prod(np.sign(self.transform.scale)) < 0:
             return None
-        return self.texels.only(has_area(self.transform.apply(self.mesh)))
+        solid = has_area(self.transform.apply(self.mesh))
+        return self.texels if solid.all() else self.texels.only(solid)
 
     def __iter__(self) -> Iterator[tuple[str, Any]]:
         """Yield fields only, so that `dict(item)` is valid input; pydantic would include cached properties."""
