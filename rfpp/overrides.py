@@ -26,6 +26,8 @@ _NULLABLE = (
     "callbacks.divergence.patience",
     "reference.token_bounces",
 )
+#: Ends of the names of lists that may be empty although their defaults are not.
+_MAY_BE_EMPTY = ".gbuffer_channels"
 #: Numbers from here on have no meaning in any setting.
 _HUGE = 1e15
 #: Values that are replaced before a constructor receives them.
@@ -71,6 +73,8 @@ def _require(cfg: DictConfig, defaults: DictConfig, key: str) -> None:
         expected = "text, quoted if it looks like a number,"
     if value == "" and before != "":
         expected = "text that is not empty"
+    if value == [] and isinstance(before, ListConfig) and len(before) and not key.endswith(_MAY_BE_EMPTY):
+        expected = "a list that is not empty"
     if expected and not _is_exception(key, before, value):
         raise UserError(f"{key}={shown}: {expected} was expected; the default is {before}")
     is_replaced = key in _REPLACED and value == _REPLACED[key]
