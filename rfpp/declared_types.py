@@ -4,19 +4,35 @@ from __future__ import annotations
 
 import inspect
 import math
+import re
 from dataclasses import is_dataclass
 from pkgutil import resolve_name
 from typing import Annotated, Any, Literal, get_type_hints
 
 from omegaconf import DictConfig, OmegaConf
-from pydantic import ConfigDict, Field, PydanticUserError, TypeAdapter, ValidationError
+from pydantic import AfterValidator, ConfigDict, Field, PydanticUserError, TypeAdapter, ValidationError
 
 from rfpp.ranges import NonNegative, Positive
 
+
+def _text(pattern: str, expected: str) -> Any:
+    """Return the type of text that begins with a pattern; others are told what was expected."""
+
+    def matching(value: str) -> str:
+        if not re.match(pattern, value):
+            raise ValueError(expected)
+        return value
+
+    return Annotated[str, AfterValidator(matching)]
+
+
+_ADDRESS = _text("databricks|[a-z][a-z0-9+.-]*:", "an address was expected, as http://server:5000 or sqlite:///runs.db")
+_METRIC = _text("validation/", "a metric of validation was expected, as validation/log_l1")
 #: Types of settings that are no argument of a constructor, or one of Lightning's with a wider annotation.
 _TYPES = {
     "against": str | None,
     "callbacks.best.mode": Literal["min", "max"],
+    "callbacks.best.monitor": _METRIC | None,
     "callbacks.divergence.factor": Annotated[float, Field(gt=1)],
     "checkpoint": str | Annotated[list[str], Field(min_length=1)] | None,
     "datamodule.augmentation.color": dict[Literal["_target_"], str] | None,
@@ -30,6 +46,7 @@ _TYPES = {
     "h5.folder": str | None,
     "initial_weights": str | None,
     "mask": str | list[str] | None,
+    "logger.tracking_uri": _ADDRESS | None,
     "max_megabytes": Annotated[float, Field(gt=0, le=1e6)],
     "moving_seconds": Annotated[float, Field(gt=0, le=60)],
     "optimizer.lr": Annotated[float, Field(gt=0)],
@@ -40,7 +57,7 @@ _TYPES = {
     "refining.scenes": Positive | None,
     "refining.steps": Positive,
     "refining.validate_every_n_steps": Positive,
-    "registry.tracking_uri": str | None,
+    "registry.tracking_uri": _ADDRESS | None,
     "resolution": Positive | tuple[Positive, Positive] | None,
     "sample": str | None,
     "scene": str | list[str],

@@ -74,7 +74,7 @@ class Batching:
     scenes_per_device: Positive | None
     views_per_scene: Positive
     partition: Partition
-    shuffle_shards: int
+    shuffle_shards: Positive
 
     def accumulation(self, devices: int) -> int:
         """Return the minimum number of batches to accumulate per device and step.
