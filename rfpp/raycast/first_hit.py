@@ -122,9 +122,10 @@ def first_hit(
     seen_from = plane, np.tan(np.radians(float(fov)) / 2), c2w.astype(np.float64)
     over_rows(count, _cast, caster.address, triangles.positions, triangles.normals, visible, *seen_from, *found)
     triangle, normal, depth = (of.reshape(height, width, *of.shape[1:]) for of in found)
-    has_texels = triangles.texels is not None
-    texels = find_texels(triangles, triangle, normal, depth, c2w, fov, points) if has_texels else None
-    return GBuffer(triangle, normal, depth, points=points, texels=texels)
+    seen = None
+    if (texels := triangles.texels) is not None:
+        seen = find_texels(texels, triangles.positions, triangle, normal, depth, c2w, fov, points)
+    return GBuffer(triangle, normal, depth, points=points, texels=seen)
 
 
 @compiled

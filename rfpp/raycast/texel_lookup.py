@@ -12,8 +12,7 @@ from rfpp.raycast.compiled import compiled, float64, int64
 from rfpp.raycast.threads import over_rows
 from rfpp.raycast.vectors import Vector, added, cross, dot, in_frame, in_world, normal_of, scaled, triple, unit
 from rfpp.scene.camera import pixel_plane
-from rfpp.scene.texels import NORMAL
-from rfpp.scene.triangles import SceneTriangles
+from rfpp.scene.texels import NORMAL, Texels
 
 _NORMAL = NORMAL.start
 
@@ -46,7 +45,8 @@ class SeenTexels:
 
 
 def find_texels(
-    triangles: SceneTriangles,
+    texels: Texels,
+    positions: Float[np.ndarray, "m 3 3"],
     triangle: Int[np.ndarray, "h w"],
     normal: Float[np.ndarray, "h w 3"],
     depth: Float[np.ndarray, "h w"],
@@ -54,18 +54,16 @@ def find_texels(
     fov: SupportsFloat,
     points: int,
 ) -> SeenTexels:
-    """Return the texels at first hits of a scene that has some, about as large as a pixel; normals follow their maps.
+    """Return the texels at first hits, about as large as a pixel; normals follow their maps.
 
     Args:
+        texels, positions: Arrays of `rfpp.scene.triangles.SceneTriangles`.
         triangle, normal, depth: Arrays of `rfpp.raycast.first_hit.GBuffer`; the normals are changed.
     """
-    texels, row = triangles.texels, np.full(triangle.shape, -1, np.int32)
-    if texels is None:
-        raise ValueError("the scene has no texels")
-    height, width = triangle.shape
+    row, (height, width) = np.full(triangle.shape, -1, np.int32), triangle.shape
     plane, slope = pixel_plane(height, width, points).reshape(-1, 2), np.tan(np.radians(float(fov)) / 2)
     pixel = 2 * slope / max(height, width)
-    table = triangles.positions, texels.level, texels.first, texels.values
+    table = positions, texels.level, texels.first, texels.values
     view = plane, slope, pixel, c2w.astype(np.float64)
     over_rows(row.size, _find, *table, *view, triangle.reshape(-1), depth.reshape(-1), normal.reshape(-1, 3),
               row.reshape(-1))  # fmt: skip
