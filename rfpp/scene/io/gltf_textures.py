@@ -13,10 +13,12 @@ from rfpp.errors import SceneError
 from rfpp.scene.io.gltf_file import GltfFile
 from rfpp.scene.io.gltf_json import INDEX, NUMBER, PAIR, TEXT, Entry
 from rfpp.scene.io.gltf_primitive import Geometry
-from rfpp.scene.io.image_texture import ImageTexture, Textures, require_few_pixels
+from rfpp.scene.io.image_texture import ImageTexture, Textures, Wrap, require_few_pixels
 
 #: Extension with materials of a diffuse and a specular color.
 GLOSSINESS = "KHR_materials_pbrSpecularGlossiness"
+#: `wrapS` and `wrapT` of samplers; all others repeat.
+_WRAPS: dict[int, Wrap] = {33071: "clamp", 33648: "mirror"}
 
 
 class GltfTextures:
@@ -64,7 +66,7 @@ class GltfTextures:
         if source is None:
             raise SceneError(f"{info.where} has no picture that can be read: export PNG or JPEG textures")
         try:
-            picture = self._textures.get(source, color, lambda: self._image(source))
+            picture = self._textures.get(source, color, lambda: self._image(source), self._wrap(info))
         except SceneError as error:
             raise SceneError(f"images.{source}: {error}") from None
         transform = info.entry("extensions", "KHR_texture_transform")
@@ -73,6 +75,14 @@ class GltfTextures:
         cos, sin = np.cos(rotation), np.sin(rotation)
         turned = (uv * transform.get("scale", PAIR, (1, 1))) @ np.array([[cos, -sin], [sin, cos]])
         return picture, turned + transform.get("offset", PAIR, (0, 0))
+
+    def _wrap(self, info: Entry) -> tuple[Wrap, Wrap]:
+        texture = self.file.document.at("textures", info.get("index", INDEX, 0))
+        sampler = self.file.linked(texture, "sampler", "samplers")
+        if sampler is None:
+            return "repeat", "repeat"
+        u, v = (_WRAPS.get(sampler.get(key, INDEX, 0), "repeat") for key in ("wrapS", "wrapT"))
+        return u, v
 
     def _image(self, index: int) -> bytes:
         image = self.file.document.at("images", index)

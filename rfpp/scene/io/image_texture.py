@@ -8,6 +8,7 @@ import warnings
 from collections import OrderedDict
 from collections.abc import Callable, Hashable, Iterable
 from functools import cache, cached_property
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -36,8 +37,12 @@ _LINEAR = np.where(
 _PLAIN = (np.arange(256) / 255).astype(np.float32)
 
 
+#: What is beyond a picture's edge: its other edge, its own edge, or its mirror image.
+Wrap = Literal["repeat", "clamp", "mirror"]
+
+
 class ImageTexture:
-    """Image that repeats in u and v, as a mip map.
+    """Image as a mip map.
 
     Attributes:
         pixels: Number of pixels in its file.
@@ -46,14 +51,17 @@ class ImageTexture:
         content: Image file.
         color: The image holds sRGB color, which is made linear; else plain numbers.
         left: Pixels that the scene may still load.
+        wrap: What is beyond its edges in u and in v.
 
     Raises:
         SceneError: If the image is damaged or too large; without the file's name.
     """
 
-    def __init__(self, content: bytes, color: bool, left: int = _MAX_PIXELS) -> None:
+    def __init__(
+        self, content: bytes, color: bool, left: int = _MAX_PIXELS, wrap: tuple[Wrap, Wrap] = ("repeat", "repeat")
+    ) -> None:
         picture, self.pixels = _pixels(content, color, left)
-        self._levels = _mip_map(picture)
+        self._levels, self._wrap = _mip_map(picture), wrap
 
     @cached_property
     def _squares(self) -> list[np.ndarray]:
@@ -62,7 +70,7 @@ class ImageTexture:
 
     def means(self, uv: Float[np.ndarray, "f 3 2"]) -> Float[np.ndarray, "f 4"]:
         """Return red, green, blue and alpha of each triangle; (0, 0) is the image's upper left corner."""
-        return _means(self._levels, uv)
+        return _means(self._levels, uv, self._wrap)
 
     def pixels_along(self, uv: Float[np.ndarray, "f 3 2"]) -> Float[np.ndarray, " f"]:
         """Return the number of pixels along each triangle; 0 where the picture hardly varies."""
@@ -71,15 +79,15 @@ class ImageTexture:
 
     def spreads(self, uv: Float[np.ndarray, "f 3 2"]) -> Float[np.ndarray, "f 4"]:
         """Return the standard deviation of these within each triangle."""
-        return np.sqrt(np.maximum(_means(self._squares, uv) - self.means(uv) ** 2, 0))
+        return np.sqrt(np.maximum(_means(self._squares, uv, self._wrap) - self.means(uv) ** 2, 0))
 
 
 class Textures:
     """Textures of one scene file, with a cache of the last used."""
 
     def __init__(self) -> None:
-        self._seen: set[tuple[Hashable, bool]] = set()
-        self._kept: OrderedDict[tuple[Hashable, bool], ImageTexture] = OrderedDict()
+        self._seen: set[Hashable] = set()
+        self._kept: OrderedDict[Hashable, ImageTexture] = OrderedDict()
         self._pixels = 0
 
     @property
@@ -87,17 +95,24 @@ class Textures:
         """Number of different textures."""
         return len(self._seen)
 
-    def get(self, key: Hashable, color: bool, read: Callable[[], bytes]) -> ImageTexture:
+    def get(
+        self,
+        name: Hashable,
+        color: bool,
+        read: Callable[[], bytes],
+        wrap: tuple[Wrap, Wrap] = ("repeat", "repeat"),
+    ) -> ImageTexture:
         """Return the texture decoded from the bytes of `read`. Raises SceneError like `ImageTexture`."""
-        if (key, color) not in self._kept:
-            texture = ImageTexture(read(), color, _MAX_PIXELS_OF_A_FILE - self._pixels)
+        key = name, color, wrap
+        if key not in self._kept:
+            texture = ImageTexture(read(), color, _MAX_PIXELS_OF_A_FILE - self._pixels, wrap)
             self._pixels += texture.pixels
-            self._seen.add((key, color))
-            self._kept[key, color] = texture
+            self._seen.add((name, color))
+            self._kept[key] = texture
             if len(self._kept) > _KEPT:
                 self._kept.popitem(last=False)
-        self._kept.move_to_end((key, color))
-        return self._kept[key, color]
+        self._kept.move_to_end(key)
+        return self._kept[key]
 
 
 def require_few_pixels(files: Iterable[io.BufferedIOBase]) -> None:
@@ -124,12 +139,16 @@ def _mip_map(level: Float[np.ndarray, "h w 4"]) -> list[np.ndarray]:
     return levels
 
 
-def _means(levels: list[np.ndarray], uv: Float[np.ndarray, "f 3 2"]) -> Float[np.ndarray, "f 4"]:
-    parts = [_means_of_some(levels, uv[i : i + _CHUNK]) for i in range(0, len(uv), _CHUNK)]
+def _means(
+    levels: list[np.ndarray], uv: Float[np.ndarray, "f 3 2"], wrap: tuple[Wrap, Wrap]
+) -> Float[np.ndarray, "f 4"]:
+    parts = [_means_of_some(levels, uv[i : i + _CHUNK], wrap) for i in range(0, len(uv), _CHUNK)]
     return np.concatenate([np.empty((0, 4), np.float32), *parts])
 
 
-def _means_of_some(levels: list[np.ndarray], uv: Float[np.ndarray, "f 3 2"]) -> Float[np.ndarray, "f 4"]:
+def _means_of_some(
+    levels: list[np.ndarray], uv: Float[np.ndarray, "f 3 2"], wrap: tuple[Wrap, Wrap]
+) -> Float[np.ndarray, "f 4"]:
     height, width = levels[0].shape[:2]
     extent = _extent(uv, width, height)
     level = np.minimum(np.floor(np.log2(np.maximum(extent / _SIDE, 1))), len(levels) - 1).astype(int)
@@ -139,10 +158,18 @@ def _means_of_some(levels: list[np.ndarray], uv: Float[np.ndarray, "f 3 2"]) -> 
         chosen, (level_read, cells) = kind == number, divmod(number, _SIDE + 1)
         pixels = levels[level_read]
         size = np.array([pixels.shape[1], pixels.shape[0]])
-        points = _centers(cells) @ uv[chosen]
-        x, y = np.moveaxis(np.minimum(np.floor(points % 1.0 * size), size - 1).astype(int), -1, 0)
+        points = _wrapped(_centers(cells) @ uv[chosen], wrap)
+        x, y = np.moveaxis(np.minimum(np.floor(points * size), size - 1).astype(int), -1, 0)
         result[chosen] = pixels[y, x].mean(axis=1, dtype=np.float32) if cells > 1 else pixels[y[:, 0], x[:, 0]]
     return result
+
+
+def _wrapped(points: Float[np.ndarray, "*n 2"], wrap: tuple[Wrap, Wrap]) -> Float[np.ndarray, "*n 2"]:
+    """Return points within the picture, from 0 to 1."""
+    if wrap == ("repeat", "repeat"):
+        return points % 1.0
+    within = {"repeat": lambda x: x % 1.0, "clamp": lambda x: np.clip(x, 0, 1), "mirror": lambda x: 1 - abs(x % 2 - 1)}
+    return np.stack([within[how](points[..., axis]) for axis, how in enumerate(wrap)], axis=-1)
 
 
 def _extent(uv: Float[np.ndarray, "f 3 2"], width: int, height: int) -> Float[np.ndarray, " f"]:

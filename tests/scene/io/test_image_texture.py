@@ -53,6 +53,18 @@ def test_textures_repeat() -> None:
         np.testing.assert_allclose(texture.means(small[None] + shift)[0], 1)
 
 
+@pytest.mark.parametrize(
+    ("wrap", "left", "within", "right"), [("repeat", 1, 0, 0), ("clamp", 0, 0, 1), ("mirror", 0, 0, 1)]
+)
+def test_what_is_beyond_an_edge(wrap: str, left: float, within: float, right: float) -> None:
+    small = np.array([[0, 0.5], [0.05, 0.5], [0, 0.55]])
+    at = np.array([[-0.2, 0], [0.2, 0], [1.2, 0]])[:, None]
+    texture = ImageTexture(png(halves(16)), color=True, wrap=(wrap, "repeat"))
+    np.testing.assert_allclose(texture.means(small + at)[:, 0], [left, within, right], atol=1e-3)
+    upright = ImageTexture(png(halves(16).swapaxes(0, 1)), color=True, wrap=("repeat", wrap))
+    np.testing.assert_allclose(upright.means((small + at)[..., ::-1])[:, 0], [left, within, right], atol=1e-3)
+
+
 def test_textures_are_decoded_once_counted_and_not_too_many(monkeypatch) -> None:
     textures, read = Textures(), []
     for key in (1, 2, 1, 2, 1):

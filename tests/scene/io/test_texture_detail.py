@@ -116,6 +116,17 @@ def test_glass_with_a_picture_stays_transparent(tmp_path: Path) -> None:
     assert part.areas.sum() == pytest.approx(1)
 
 
+@pytest.mark.parametrize(("code", "turned"), [(10497, False), (33648, True)])
+def test_samplers_say_what_is_beyond_a_picture(code: int, turned: bool, tmp_path: Path) -> None:
+    builder = card(PICTURE, repeats=2.0)
+    builder.document["samplers"] = [{"wrapS": code, "wrapT": 33071}]
+    builder.document["textures"][0]["sampler"] = 0
+    (part,) = read(builder, tmp_path)
+    # twice the picture along x: the second time mirrored, or not
+    left, right = color_at(part, np.array([[0.1, 0.4], [0.4, 0.4]]))
+    assert (left[0] > 0.9, right[0] > 0.9) == (not turned, turned)
+
+
 def test_a_smooth_surface_is_divided_as_a_whole(tmp_path: Path) -> None:
     ball, builder = trimesh.creation.icosphere(2), GltfBuilder()
     attributes = {
