@@ -11,6 +11,7 @@ from collections.abc import Callable
 from functools import cache
 from importlib import metadata
 from typing import Any, cast
+from weakref import finalize
 
 import llvmlite.binding
 import numpy as np
@@ -90,6 +91,7 @@ class Structure:
         library = embree()
         self._device = library.rtcNewDevice(None)
         self.address = library.rtcNewScene(self._device)
+        finalize(self, _release, library, self.address, self._device).atexit = False
         library.rtcSetSceneFlags(self.address, _ROBUST)
         geometry = library.rtcNewGeometry(self._device, _TRIANGLES)
         shared = library.rtcSetSharedGeometryBuffer
@@ -102,10 +104,10 @@ class Structure:
         if error := library.rtcGetDeviceError(self._device):
             raise MemoryError(f"Embree could not build its structure over {len(corners)} triangles (error {error})")
 
-    def __del__(self) -> None:
-        if hasattr(self, "address"):
-            embree().rtcReleaseScene(self.address)
-            embree().rtcReleaseDevice(self._device)
+
+def _release(library: ctypes.CDLL, scene: int, device: int) -> None:
+    library.rtcReleaseScene(scene)
+    library.rtcReleaseDevice(device)
 
 
 #: Numbers of a ray and its hit (`RTCRayHit`), padded.

@@ -57,7 +57,7 @@ class Server:
             self._socket = socket.create_server((host, port), family=socket.getaddrinfo(host, port)[0][0])
         except (OSError, OverflowError) as error:
             reason = getattr(error, "strerror", None) or error
-            raise UserError(f"{host}:{port}: cannot listen there ({reason}): choose another host or port") from None
+            raise UserError(f"host={host}: cannot listen at port {port} ({reason}): choose another") from None
         self.address: tuple[str, int] = self._socket.getsockname()[:2]
         endpoints = {"/scenes": self._receive, "/pictures": self._render}
         routes = [Route(path, _guarded(endpoint), methods=["POST"]) for path, endpoint in endpoints.items()]

@@ -91,9 +91,13 @@ def full_gltf() -> GltfBuilder:
         "WEIGHTS_0": builder.accessor(np.array([[1, 0, 0, 0]] * 4)),
     }
     texture = builder.texture(np.random.default_rng(0).integers(0, 255, (4, 4, 4)))
+    builder.document["samplers"] = [{"wrapS": 33071, "wrapT": 33648}]
+    builder.document["textures"][0]["sampler"] = 0
+    moved = {"offset": [0.1, 0.2], "scale": [2.0, 1.0], "rotation": 0.3}
     material = {
         "name": "all", "alphaMode": "MASK", "alphaCutoff": 0.2, "emissiveFactor": [0, 0, 0],
-        "pbrMetallicRoughness": {"baseColorTexture": texture, "metallicRoughnessTexture": texture},
+        "pbrMetallicRoughness": {"baseColorTexture": texture | {"extensions": {"KHR_texture_transform": moved}},
+                                 "metallicRoughnessTexture": texture}, "normalTexture": texture | {"scale": 0.5},
         "extensions": {"KHR_materials_ior": {"ior": 1.4}, "KHR_materials_specular": {"specularFactor": 0.5},
                        "KHR_materials_emissive_strength": {"emissiveStrength": 2.0}},
     }  # fmt: skip

@@ -214,5 +214,5 @@ def test_a_defect_is_reported_and_the_server_continues(caplog):
 
 @pytest.mark.parametrize(("host", "port"), [("127.0.0.1", None), ("no.such.host.invalid", 0), ("127.0.0.1", 70_000)])
 def test_an_unavailable_address_is_one_line(served, host, port):
-    with pytest.raises(UserError, match="cannot listen there"):
+    with pytest.raises(UserError, match="cannot listen at port"):
         Server(served.scenes.renderer, host, served.address[1] if port is None else port, 1)

@@ -44,6 +44,8 @@ _KNOWN = {"diffuse_transmission", "emissive_strength", "ior", "pbrSpecularGlossi
           "volume"}  # fmt: skip
 _GLOWS = 0.1
 _OPAQUE = 0.99
+#: Limit of the scale of normal maps; beyond it normals lie in the surface.
+_STEEPEST = 1e6
 #: Standard deviation of alpha within a face that tells a cut-out from glass.
 _CUT_OUT = 0.2
 
@@ -141,7 +143,7 @@ class GltfSurface:
             return None
         with self._named():
             info = self.material.entry("normalTexture")
-            scale = info.get("scale", NUMBER, 1.0)
+            scale = np.clip(info.get("scale", NUMBER, 1.0), -_STEEPEST, _STEEPEST)
             normals = (2 * self._means(info, pieces, color=False)[:, :3] - 1) * (scale, scale, 1)
             return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-6)
 

@@ -14,6 +14,7 @@ from rfpp.scene.io.gltf_file import GltfFile
 from rfpp.scene.io.gltf_json import INDEX, NUMBER, PAIR, TEXT, Entry
 from rfpp.scene.io.gltf_primitive import Geometry
 from rfpp.scene.io.image_texture import ImageTexture, Textures, Wrap, require_few_pixels
+from rfpp.scene.io.imported_scene import BEYOND
 
 #: Extension with materials of a diffuse and a specular color.
 GLOSSINESS = "KHR_materials_pbrSpecularGlossiness"
@@ -74,7 +75,10 @@ class GltfTextures:
         rotation = transform.get("rotation", NUMBER, 0.0)
         cos, sin = np.cos(rotation), np.sin(rotation)
         turned = (uv * transform.get("scale", PAIR, (1, 1))) @ np.array([[cos, -sin], [sin, cos]])
-        return picture, turned + transform.get("offset", PAIR, (0, 0))
+        coordinates = turned + transform.get("offset", PAIR, (0, 0))
+        if not (np.abs(coordinates) < BEYOND).all():
+            raise SceneError(f"{info.where}: its texture coordinates are too large: unwrap the mesh again")
+        return picture, coordinates
 
     def _wrap(self, info: Entry) -> tuple[Wrap, Wrap]:
         texture = self.file.document.at("textures", info.get("index", INDEX, 0))

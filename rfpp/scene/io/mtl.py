@@ -17,6 +17,7 @@ from jaxtyping import Bool, Float
 from rfpp.errors import SceneError, one_line
 from rfpp.scene.io.gltf_material import metallic_roughness
 from rfpp.scene.io.image_texture import ImageTexture, Textures
+from rfpp.scene.io.imported_scene import BEYOND
 from rfpp.scene.io.limits import beside, read_bytes, require_bounded
 from rfpp.scene.io.pieces import Pieces
 from rfpp.scene.io.trimesh_files import TrimeshArrays
@@ -95,7 +96,7 @@ class ObjMaterial:
     ) -> tuple[ImageTexture, Float[np.ndarray, "f 3 2"]]:
         """Return a texture and its coordinates at the corners of the faces."""
         path, uv = self.textures[key], mesh["visual"].uv
-        if uv is None or not np.isfinite(uv).all():
+        if uv is None or not (np.abs(uv) < BEYOND).all():
             raise SceneError(
                 f"material '{self.name}': map_{key.capitalize()} needs texture coordinates: unwrap the mesh"
             )

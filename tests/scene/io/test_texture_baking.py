@@ -12,6 +12,7 @@ from gltf_files import SQUARE_UV, GltfBuilder
 from known_scenes import look_at
 
 from rfpp import Renderer
+from rfpp.errors import SceneError
 from rfpp.inference.materials import MaterialTensors
 from rfpp.raycast.direct_light import direct_radiance
 from rfpp.raycast.first_hit import GBuffer, channel, first_hit
@@ -135,6 +136,16 @@ def test_a_changed_material_covers_the_picture():
                                        "face_material": None})  # fmt: skip
     np.testing.assert_allclose(seen(Scene(objects=(painted, *item.objects[1:])))[1], 0.5, atol=1e-6)
     assert MaterialTensors.of(pack(item), {}, torch.device("cpu")).scene.triangles.texels is None
+
+
+def test_texture_coordinates_without_bounds_are_refused(tmp_path: Path):
+    builder = GltfBuilder()
+    texture = builder.texture(NOISE)
+    texture["extensions"] = {"KHR_texture_transform": {"scale": [1e308, -1e308]}}
+    uv = {"TEXCOORD_0": builder.accessor(SQUARE_UV * 1e30)}
+    builder.node(builder.primitive(material={"pbrMetallicRoughness": {"baseColorTexture": texture}}, attributes=uv))
+    with pytest.raises(SceneError, match="baseColorTexture: its texture coordinates are too large"):
+        load_scene(builder.write(tmp_path))
 
 
 def test_fine_pictures_fit_into_the_budget():
