@@ -20,7 +20,7 @@ class Texels:
 
     A triangle of level n has 4 rows for its first division, 16 for its second, … 4ⁿ for its last; coarse rows are means
     of finer ones. The digits of a part's number to the base 4 are its places in each division, the first division in
-    the lowest digit: 0, 1, 2 at a corner, 3 in the middle (`rfpp.scene.io.texture_detail.Pieces.quartered`).
+    the lowest digit: 0, 1, 2 at a corner, 3 in the middle (`rfpp.scene.io.pieces.Pieces.quartered`).
 
     Attributes:
         level: [M] number of divisions; 0 for triangles of one material.
@@ -45,16 +45,14 @@ class Texels:
     @classmethod
     def of_all(cls, parts: Sequence[tuple[Texels | None, int]]) -> Texels | None:
         """Return the texels of several meshes, given each one's, or None, and its number of triangles."""
-        present = [texels for texels, _ in parts if texels is not None]
-        if not present:
+        if all(texels is None for texels, _ in parts):
             return None
-        starts = iter(np.cumsum([0, *(len(texels.values) for texels in present)]))
+        every = [cls.none(count) if texels is None else texels for texels, count in parts]
+        starts = np.cumsum([0, *(len(texels.values) for texels in every[:-1])])
         return cls(
-            np.concatenate([np.zeros(count, np.int8) if texels is None else texels.level for texels, count in parts]),
-            np.concatenate(
-                [np.zeros(count, int) if texels is None else texels.first + next(starts) for texels, count in parts]
-            ),
-            np.concatenate([texels.values for texels in present]),
+            np.concatenate([texels.level for texels in every]),
+            np.concatenate([texels.first + start for texels, start in zip(every, starts, strict=True)]),
+            np.concatenate([texels.values for texels in every]),
         )
 
     def only(self, triangles: Bool[np.ndarray, " m"] | Int[np.ndarray, " n"]) -> Texels:

@@ -14,6 +14,8 @@ from rfpp.scene.texels import NORMAL, Texels, rows_of
 MOST_TEXELS = 1 << 20
 #: Divisions of one triangle; `image_texture` keeps pictures of 2¹⁰ pixels.
 _MOST_DIVISIONS = 10
+#: Steps in which the size of parts is found, within 100 powers of two at most.
+_BISECTIONS = 14
 #: Parts that are computed at a time.
 _CHUNK = 1 << 17
 
@@ -33,14 +35,27 @@ def levels_of(textured: Sequence[tuple[Surface, Pieces]], most: int) -> list[Int
         return levels
     wanted = np.concatenate([levels[number] for number in varied])
     side = np.maximum(np.sqrt(np.concatenate([textured[number][1].areas for number in varied])), 1e-30)
-    fitting, smallest = wanted, float((side / 2.0**wanted).min())
-    while (4**fitting)[fitting > 0].sum() > most:
-        smallest *= 1.1
-        fitting = np.minimum(wanted, np.maximum(np.ceil(np.log2(side / smallest)), 0).astype(np.int64))
+    fitting = _fitting(wanted, side, most)
     ends = np.cumsum([len(levels[number]) for number in varied])
     for number, own in zip(varied, np.split(fitting, ends[:-1]), strict=True):
         levels[number] = own
     return levels
+
+
+def _fitting(wanted: Int[np.ndarray, " n"], side: Float[np.ndarray, " n"], most: int) -> Int[np.ndarray, " n"]:
+    """Return at most the wanted divisions of pieces of some size, so that their parts are no more than `most`."""
+
+    def of(size: float) -> Int[np.ndarray, " n"]:
+        return np.minimum(wanted, np.maximum(np.ceil(np.log2(side) - size), 0).astype(np.int64))
+
+    too_small, fits = float((np.log2(side) - wanted).min()), float(np.log2(side).max())  # log₂ of sizes of parts
+    if (4**wanted)[wanted > 0].sum() <= most:
+        return wanted
+    for _ in range(_BISECTIONS):
+        middle = (too_small + fits) / 2
+        levels = of(middle)
+        too_small, fits = (too_small, middle) if (4**levels)[levels > 0].sum() <= most else (middle, fits)
+    return of(fits)
 
 
 def baked(surface: Surface, pieces: Pieces, levels: Int[np.ndarray, " n"]) -> Texels:
@@ -87,8 +102,10 @@ def _in_plane(
     mirrored = np.sign(du_b * dv_c - du_c * dv_b)
     tangent = np.stack([dv_c * length - dv_b * right, -dv_b * up], axis=1) * mirrored[:, None]
     upwards = -np.stack([du_b * right - du_c * length, du_b * up], axis=1) * mirrored[:, None]
-    tangent, upwards = (axis / np.maximum(np.linalg.norm(axis, axis=1, keepdims=True), 1e-30)
-                        for axis in (tangent, upwards))  # fmt: skip
     x, y, z = normals.reshape(-1, len(pieces), 3).transpose(2, 0, 1)
-    turned = x[..., None] * tangent + y[..., None] * upwards
+    turned = x[..., None] * _unit(tangent) + y[..., None] * _unit(upwards)
     return np.concatenate([turned, z[..., None]], axis=-1).reshape(-1, 3)
+
+
+def _unit(vectors: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-30)
