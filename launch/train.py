@@ -38,7 +38,7 @@ from rfpp.training.checkpoint_files import AUTO, checkpoint_to_resume, point_at
 from rfpp.training.module import RenderingModule
 from rfpp.training.plan import PLAN_KEY, choose_acceleration, choose_precision, plan_training, require_devices
 from rfpp.training.rollback import continues_job, leave_out, left_out_steps, roll_back
-from rfpp.training.run import build_trainer, locked, trainer_plugins
+from rfpp.training.run import build_trainer, folder_of, locked, trainer_plugins
 from rfpp.training.steps import CapturedStep, PlainStep
 from rfpp.training.stopping import StoppedError, exit_early
 from rfpp.training.summary import end_summary, start_summary
@@ -62,9 +62,8 @@ def main(cfg: DictConfig) -> Path | None:
     torch.set_float32_matmul_precision("high")
 
     require_devices(cfg.trainer)  # what may be missing is asked for before the network is built, which takes long
-    logger = instantiate(cfg.logger)
+    run_dir, logger = folder_of(cfg), instantiate(cfg.logger)
     data = instantiate(cfg.datamodule.source).manifest
-    run_dir = Path(cfg.run_dir)
     model = OmegaConf.to_container(cfg.model, resolve=True)
     shapes_of(model, "model")  # or hours of training would end in a checkpoint that is refused
     network = instantiate(cfg.model, _convert_="all")

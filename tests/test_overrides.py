@@ -105,6 +105,7 @@ def test_an_error_names_a_setting_of_the_command_line_or_its_missing_file(messag
             "datamodule.root: there is no such setting: did you mean datamodule.source.root?",
         ),
         ("steps=many", "steps=many: a number was expected; the default is 20"),
+        ("callbacks.checkpoints.folder=a", "callbacks.checkpoints.folder=a: is not in {run_dir}: set run_dir alone"),
         (
             "initial_weights=nonsense.ckpt",
             "nonsense.ckpt: no such checkpoint: train one with launch/train.py, or correct the path",
@@ -112,8 +113,9 @@ def test_an_error_names_a_setting_of_the_command_line_or_its_missing_file(messag
     ],
 )
 def test_commands_end_with_one_line_and_the_status_of_wrong_usage(given, said):
-    command = [sys.executable, "launch/train.py", "debug=cpu", given]
+    command = [sys.executable, "launch/train.py", "debug=cpu", "run_dir=data/runs/unused", given]
     done = subprocess.run(command, cwd=CONFIG_DIR.parent, capture_output=True, text=True, check=False)
+    said = said.format(run_dir=CONFIG_DIR.parent / "data/runs/unused")
     assert (done.returncode, done.stderr) == (2, f"error: {said}\n")
 
 

@@ -12,15 +12,33 @@ from filelock import FileLock, Timeout
 from hydra.utils import instantiate
 from lightning.pytorch.plugins.environments import SLURMEnvironment
 from lightning.pytorch.utilities.exceptions import MisconfigurationException
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 from torch import nn
 
 from rfpp.errors import UserError
 from rfpp.training.checkpoint_files import BackgroundCheckpointIO
 
+#: Settings of where a run writes.
+_FOLDERS = ("callbacks.best.dirpath", "callbacks.checkpoints.folder", "callbacks.divergence.run_dir",
+            "callbacks.finite_gradients.folder", "callbacks.panels.folder", "logger.run_dir")  # fmt: skip
+
 
 class RunningError(UserError):
     """Another process is training in the folder."""
+
+
+def folder_of(cfg: DictConfig) -> Path:
+    """Return the folder of a run.
+
+    Raises:
+        UserError: Naming a setting that would write outside it, where nothing looks for a run's files.
+    """
+    folder = Path(cfg.run_dir).absolute()
+    for key in _FOLDERS:
+        path = OmegaConf.select(cfg, key)
+        if path is not None and not Path(path).absolute().is_relative_to(folder):
+            raise UserError(f"{key}={path}: is not in {folder}: set run_dir alone")
+    return Path(cfg.run_dir)
 
 
 def trainer_plugins() -> list[Any]:
