@@ -33,7 +33,7 @@ _TYPES = {
     "against": str | None,
     "callbacks.best.mode": Literal["min", "max"],
     "callbacks.best.monitor": _METRIC | None,
-    "callbacks.divergence.factor": Annotated[float, Field(gt=1)],
+    "callbacks.divergence.factor": Annotated[float, Field(gt=0)],
     "checkpoint": str | Annotated[list[str], Field(min_length=1)] | None,
     "datamodule.augmentation.color": dict[Literal["_target_"], str] | None,
     "datamodule.source.root": str | Annotated[list[str], Field(min_length=1)],
