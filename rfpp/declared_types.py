@@ -26,8 +26,10 @@ def _text(pattern: str, expected: str) -> Any:
     return Annotated[str, AfterValidator(matching)]
 
 
-_ADDRESS = _text("databricks|[a-z][a-z0-9+.-]*:", "an address was expected, as http://server:5000 or sqlite:///runs.db")
-_METRIC = _text("validation/", "a metric of validation was expected, as validation/log_l1")
+_ADDRESS = _text(
+    "databricks|[a-z][a-z0-9+.-]*:", "an address was expected, such as http://server:5000 or sqlite:///runs.db"
+)
+_METRIC = _text("validation/", "a validation metric was expected, such as validation/log_l1")
 #: Types of settings that are no argument of a constructor, or one of Lightning's with a wider annotation.
 _TYPES = {
     "against": str | None,

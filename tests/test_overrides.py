@@ -141,7 +141,7 @@ def test_commands_end_with_one_line_and_the_status_of_wrong_usage(given, said):
         ("evaluate", "trainer.accelerator=abacus", "choose from"),
         ("evaluate", "trainer.devices=0", "greater than or equal to 1|'auto'"),
         ("train", "logger.tracking_uri=nonsense", "an address was expected"),
-        ("train", "callbacks.best.monitor=nonsense", "a metric of validation was expected"),
+        ("train", "callbacks.best.monitor=nonsense", "a validation metric was expected"),
         ("view", "moving_seconds=0", "greater than 0"),
         ("view", "resolution=[]", "items|valid integer"),
         ("serve/serve", "port=70000", "less than or equal to 65535"),

@@ -16,7 +16,7 @@ from rfpp.raycast.raycast import RayCaster
 from rfpp.raycast.texel_lookup import SeenTexels, find_texels
 from rfpp.raycast.threads import over_rows
 from rfpp.raycast.traces import Trace
-from rfpp.raycast.vectors import added, dot, in_frame, in_world, normal_of, scaled, triple, unit
+from rfpp.raycast.vectors import added, camera_axes, dot, in_frame, in_world, normal_of, scaled, triple, unit
 from rfpp.scene.camera import pixel_plane
 from rfpp.scene.triangles import DIFFUSE, ROUGHNESS, SPECULAR, SceneTriangles
 
@@ -144,12 +144,7 @@ def _cast(
     depth: Float[np.ndarray, " pixels"],
 ) -> None:
     """Fill in the arrays of `GBuffer`."""
-    right, up, back = (
-        (pose[0, 0], pose[1, 0], pose[2, 0]),
-        (pose[0, 1], pose[1, 1], pose[2, 1]),
-        (pose[0, 2], pose[1, 2], pose[2, 2]),
-    )
-    eye = (pose[0, 3], pose[1, 3], pose[2, 3])
+    right, up, back, eye = camera_axes(pose)
     for row in range(start, stop):
         toward = unit(slope * plane[row, 0], slope * plane[row, 1], -1.0)
         direction = in_world(toward, right, up, back)

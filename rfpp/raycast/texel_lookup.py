@@ -10,7 +10,19 @@ from jaxtyping import Float, Int
 
 from rfpp.raycast.compiled import compiled, float64, int64
 from rfpp.raycast.threads import over_rows
-from rfpp.raycast.vectors import Vector, added, cross, dot, in_frame, in_world, normal_of, scaled, triple, unit
+from rfpp.raycast.vectors import (
+    Vector,
+    added,
+    camera_axes,
+    cross,
+    dot,
+    in_frame,
+    in_world,
+    normal_of,
+    scaled,
+    triple,
+    unit,
+)
 from rfpp.scene.camera import pixel_plane
 from rfpp.scene.texels import NORMAL, Texels
 
@@ -88,12 +100,7 @@ def _find(
     row: Int[np.ndarray, " pixels"],
 ) -> None:
     """Fill in the rows, and change the normals; `pixel` is the side of a pixel at distance 1."""
-    right, up, back = (
-        (pose[0, 0], pose[1, 0], pose[2, 0]),
-        (pose[0, 1], pose[1, 1], pose[2, 1]),
-        (pose[0, 2], pose[1, 2], pose[2, 2]),
-    )
-    eye = (pose[0, 3], pose[1, 3], pose[2, 3])
+    right, up, back, eye = camera_axes(pose)
     for at in range(start, stop):
         hit, far = triangle[at], float64(depth[at])
         if hit < 0 or level[hit] == 0:

@@ -59,6 +59,17 @@ def triple(row: Float[np.ndarray, " 3"]) -> Triple:
 
 
 @compiled
+def camera_axes(pose: Float[np.ndarray, "4 4"]) -> tuple[Triple, Triple, Triple, Triple]:
+    """Return the columns of a camera's pose: right, up, backward and position."""
+    return (
+        (pose[0, 0], pose[1, 0], pose[2, 0]),
+        (pose[0, 1], pose[1, 1], pose[2, 1]),
+        (pose[0, 2], pose[1, 2], pose[2, 2]),
+        (pose[0, 3], pose[1, 3], pose[2, 3]),
+    )
+
+
+@compiled
 def in_world(vector: Vector, first: Vector, second: Vector, normal: Vector) -> Triple:
     """Transform a vector from the frame of two tangents and a normal to world space."""
     x, y, z = vector
