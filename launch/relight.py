@@ -30,6 +30,7 @@ from rfpp.inference.motion.frames import with_cameras
 from rfpp.inference.relight_settings import RelightSettings
 from rfpp.inference.relighting import Images, SolvedLights, solve_lights, with_factors
 from rfpp.inference.stills import write_still
+from rfpp.raycast.compiled import announce_compilation
 from rfpp.scene.io.saving import fits_json, save_scene
 from rfpp.scene.spec import Scene
 from rfpp.training.tracking.registry import checkpoint_file
@@ -54,6 +55,7 @@ def main(cfg: DictConfig) -> Path:
 
     file = checkpoint_file(cfg.checkpoint, cfg.registry.tracking_uri, Path(cfg.registry.folder))
     renderer = Renderer.load(file, chosen.device, cfg.precision)
+    announce_compilation(console.print)
     with console.status(f"Rendering {views.triangles.num_lights} lights separately …"):
         layers = renderer.render_lights(views, target.shape[1:3], **chosen.sampling)
     solved = solve_lights(layers, target, is_valid, chosen.colors)

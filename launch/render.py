@@ -44,7 +44,7 @@ from rfpp.inference.stills import (
 from rfpp.inference.video import require_encoder, write_video
 from rfpp.metrics.flip import flip_library
 from rfpp.progress import counting
-from rfpp.raycast.compiled import is_compiled
+from rfpp.raycast.compiled import announce_compilation
 from rfpp.reference.cycles import CyclesSettings, require_blender
 from rfpp.scene.packed import PackedScene
 from rfpp.training.tracking.registry import checkpoint_file
@@ -76,8 +76,7 @@ def main(cfg: DictConfig) -> list[Path]:
     others = {str(cfg.against): load(cfg.against, cfg)} if cfg.against else {}
     size = renderer.image_size(chosen.resolution)
     command = Command(renderer, others, size, chosen, tone_map, cycles, Console(highlight=False, soft_wrap=True))
-    if not is_compiled():
-        command.console.print("Compiling the ray loops, once per version: up to a minute …")
+    announce_compilation(command.console.print)
     written: list[Path] = []
     for path, scene, file in zip(chosen.scene, scenes, files, strict=True):
         written += [command.animation(scene, file)] if motion else command.stills(scene, file)

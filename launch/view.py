@@ -16,14 +16,14 @@ import threading
 from pathlib import Path
 
 from hydra.utils import instantiate
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
 
 from rfpp import Renderer
 from rfpp.commands import entry_point, settings
 from rfpp.imaging.tone_maps import TONE_MAPS
-from rfpp.inference.scene_settings import as_list
-from rfpp.scene.io.loading import load_scene
+from rfpp.inference.scene_settings import LoadSettings, as_list
+from rfpp.raycast.compiled import announce_compilation
 from rfpp.training.tracking.registry import checkpoint_file
 
 
@@ -32,11 +32,12 @@ def main(cfg: DictConfig) -> None:
     """Serve the page until Ctrl-C."""
     from rfpp.viewer.server import Viewer  # needs an extra
 
+    scene = LoadSettings.parse(OmegaConf.to_container(cfg, resolve=True)).load(Path(cfg.scene))
     checkpoint = checkpoint_file(cfg.checkpoint, cfg.registry.tracking_uri, Path(cfg.registry.folder))
     renderer = Renderer.load(checkpoint, cfg.device, cfg.precision)
     viewer = Viewer(
         renderer,
-        load_scene(cfg.scene),
+        scene,
         TONE_MAPS,
         instantiate(settings("reference", "reference_settings", cfg.reference_settings, without=["radiosity"])),
         host=cfg.host,
@@ -45,6 +46,7 @@ def main(cfg: DictConfig) -> None:
         moving_seconds=cfg.moving_seconds,
     )
     console = Console(highlight=False, soft_wrap=True)
+    announce_compilation(console.print)
     with viewer:
         console.print(f"{viewer.url}   (Ctrl-C stops it)")
         try:

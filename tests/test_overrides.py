@@ -99,6 +99,7 @@ def test_an_error_names_a_setting_of_the_command_line_or_its_missing_file(messag
     ("given", "said"),
     [
         ("lr=9", "lr: there is no such setting: did you mean optimizer.lr?"),
+        ("stepz=9", "stepz: there is no such setting: did you mean steps?"),
         ("compile=true", "compile: there is no such setting: did you mean accelerate?"),
         (
             "datamodule.root=a",

@@ -42,7 +42,6 @@ class RenderSettings(SceneSettings):
     resolution: Annotated[tuple[Positive, Positive] | None, BeforeValidator(_as_square)]
     cameras: Annotated[tuple[NonNegative, ...] | None, BeforeValidator(as_list)]
     camera: Annotated[Camera | None, BeforeValidator(_placed)]
-    detail: NonNegative
     layers: Annotated[tuple[str, ...], BeforeValidator(as_list)]
     lights: Parts
     bounces: Parts

@@ -13,7 +13,7 @@ from jaxtyping import Float
 from rfpp.checkpoint.loading import CHECKPOINT_KEY, CheckpointInfo, load_network
 from rfpp.checkpoint.model_card import model_card
 from rfpp.checkpoint.model_folder import write_folder
-from rfpp.errors import UserError
+from rfpp.errors import SceneError, UserError
 from rfpp.inference.devices import available_device
 from rfpp.inference.engine import Engine, Image
 from rfpp.inference.network_engine import NetworkEngine
@@ -102,17 +102,17 @@ class Renderer:
 
     def render(
         self,
-        scene: AnyScene,
+        scene: AnyScene | Sequence[AnyScene],
         resolution: int | tuple[int, int] | None = None,
         cameras: Sequence[Camera] | None = None,
         light_samples: int = 16,
         supersampling: int = 2,
         transports: int | None = None,
     ) -> Float[np.ndarray, "v h w 3"]:
-        """Return the linear radiance seen by each camera.
+        """Return the linear radiance seen by each camera; of several scenes, one after the other.
 
         Args:
-            scene: Scene to render, or its file.
+            scene: Scene to render, or its file, or a list of these.
             resolution: Pixels, a number for square images or (height, width); None is the training resolution.
             cameras: Cameras; None renders the scene's own.
             light_samples: Shadow rays per light and pixel, and rays per pixel into reflections.
@@ -120,11 +120,14 @@ class Renderer:
             transports: Applications of the transport operator, or bounces between cells; None is the usual number.
 
         Raises:
-            SceneError: If there is no camera.
+            SceneError: If there is no scene, or no camera.
             UserError: If the resolution does not divide into patches or takes more memory than there is, if there are
                 no samples, or if the network has no transport operator to apply.
         """
-        return np.stack(list(self.views(scene, resolution, cameras, light_samples, supersampling, transports)))
+        sampling = light_samples, supersampling, transports
+        if not (scenes := scene if isinstance(scene, list | tuple) else [scene]):
+            raise SceneError("the list of scenes is empty: add one")
+        return np.stack([image for each in scenes for image in self.views(each, resolution, cameras, *sampling)])
 
     def views(
         self,

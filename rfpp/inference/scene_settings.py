@@ -9,13 +9,13 @@ from typing import Annotated, Any, Literal, TypeVar
 from pydantic import Field, field_validator
 
 from rfpp.inference.devices import available_device
-from rfpp.ranges import Positive
+from rfpp.ranges import NonNegative, Positive
 from rfpp.scene.io.backdrop import Backdrop
 from rfpp.scene.io.loading import load_scene
 from rfpp.scene.packed import PackedScene
 from rfpp.scene.spec import Scene, Strict
 
-Settings = TypeVar("Settings", bound="SceneSettings")
+Settings = TypeVar("Settings", bound="LoadSettings")
 
 
 def as_list(value: Any) -> Any:
@@ -23,14 +23,29 @@ def as_list(value: Any) -> Any:
     return [value] if isinstance(value, str | int) else value
 
 
-class SceneSettings(Strict):
-    """Settings of the same names as in conf/render. Raises UserError naming an invalid one."""
+class LoadSettings(Strict):
+    """Settings of `load_scene`. Raises UserError naming an invalid one."""
 
-    output: Path
     triangles: Positive | None
+    detail: NonNegative
     up: Literal["y", "z"] | None
     transparent: Literal["opaque", "drop", "refuse"]
     backdrop: Backdrop
+
+    @classmethod
+    def parse(cls: type[Settings], values: Mapping[str, Any]) -> Settings:
+        """Select and validate the settings in a configuration."""
+        return cls(**{name: values[name] for name in cls.model_fields})
+
+    def load(self, scene: Path) -> Scene | PackedScene:
+        """Load a scene file."""
+        return load_scene(scene, **self.model_dump(include=set(LoadSettings.model_fields)))
+
+
+class SceneSettings(LoadSettings):
+    """Settings of the same names as in conf/render. Raises UserError naming an invalid one."""
+
+    output: Path
     exposure: Annotated[float, Field(ge=-64, le=64)]
     light_samples: Positive
     supersampling: Positive
@@ -42,15 +57,6 @@ class SceneSettings(Strict):
     def _is_available(cls, device: str | None) -> str | None:
         available_device(device)
         return device
-
-    @classmethod
-    def parse(cls: type[Settings], values: Mapping[str, Any]) -> Settings:
-        """Select and validate the settings in a configuration."""
-        return cls(**{name: values[name] for name in cls.model_fields})
-
-    def load(self, scene: Path) -> Scene | PackedScene:
-        """Load a scene file."""
-        return load_scene(scene, **self.model_dump(include={"triangles", "detail", "up", "transparent", "backdrop"}))
 
     @property
     def sampling(self) -> dict[str, int | None]:

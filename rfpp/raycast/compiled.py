@@ -40,10 +40,11 @@ def compiled(function: Callable[P, R]) -> Callable[P, R]:
     return cast(Callable[P, R], faster)  # Numba's decorator has no types
 
 
-def is_compiled() -> bool:
-    """Return whether machine code of this version's ray loops is on disk."""
+def announce_compilation(say: Callable[[str], object]) -> None:
+    """Say that the ray loops are about to be compiled, unless machine code of this version is on disk."""
     config: Any = numba.config
-    return any(Path(config.CACHE_DIR or _cache_folder(Path(__file__).parent)).rglob("*.nbc"))
+    if not any(Path(config.CACHE_DIR or _cache_folder(Path(__file__).parent)).rglob("*.nbc")):
+        say("Compiling the ray loops, once per version: up to a minute …")
 
 
 @cache

@@ -15,6 +15,7 @@ from rfpp.errors import SceneError, UserError
 from rfpp.imaging.radiance import log_decode
 from rfpp.inference.network_engine import _computed_ahead
 from rfpp.raycast.first_hit import first_hit, stack_channels
+from rfpp.scene.io.saving import save_scene
 from rfpp.scene.packed import pack
 
 
@@ -34,6 +35,16 @@ def test_every_camera_gets_a_finite_non_negative_image(renderer, scene):
     assert np.isfinite(images).all()
     assert (images >= 0).all()
     assert images.std() > 0
+
+
+def test_scenes_and_their_files_may_be_listed(renderer, scene, tmp_path):
+    file, other = save_scene(scene, tmp_path / "scene.json"), scene.model_copy(update={"cameras": scene.cameras[:1]})
+    images = renderer.render([file, other])
+    assert images.shape == (4, 16, 16, 3)
+    np.testing.assert_array_equal(images[3], renderer.render(other)[0])
+    np.testing.assert_array_equal(images[:3], renderer.render(str(file)))
+    with pytest.raises(SceneError, match="the list of scenes is empty"):
+        renderer.render([])
 
 
 def test_weights_that_are_not_finite_are_an_error(scene):

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import trimesh
 from known_scenes import LIGHT, box, material, moved, pack, rigid_motion, sphere, square, still_life
 
 from rfpp.radiosity import cell_grid
@@ -85,6 +86,17 @@ def test_small_objects_of_a_crowd_are_one_cell_each_and_the_rest_is_as_before(mo
     assert counts[0][0] == counts[1][0] and counts[0][82] == counts[1][82]
     floor = [placed.cells.bounced[placed.owner == 0].mean() for placed in (alone, crowded)]
     assert floor[1] == pytest.approx(floor[0], rel=0.25)  # few rays hit a box: 10% of noise
+
+
+def test_finer_triangles_make_no_more_cells():
+    """The time of light between surfaces does not grow with the triangles of a scan."""
+    counts = []
+    for subdivisions in (4, 6):
+        ball = np.add(trimesh.creation.icosphere(subdivisions, 0.4).triangles, (0, 0, 0.5))
+        triangles = pack((ball, material(0.5)), (square(1.2), material(0.5)), LAMP)
+        places = find_places(triangles, LightSampler(triangles).caster)
+        counts.append((len(places.cell), places.cell.max() + 1))
+    np.testing.assert_allclose(counts[1], counts[0], rtol=0.05)
 
 
 def test_light_is_linear_and_the_same_scene_gives_the_same_cells():

@@ -4,6 +4,7 @@ import shutil
 import subprocess
 import sys
 
+import numba
 import numpy as np
 import pytest
 from numba.core.errors import NumbaError
@@ -76,3 +77,12 @@ def test_what_a_loop_calls_is_part_of_it():
     makes_two_calls(np.ones(4), 3)
     [assembly] = makes_two_calls.inspect_asm().values()
     assert not [line for line in assembly.splitlines() if "long_enough" in line and "NumbaEnv" not in line]
+
+
+def test_the_first_compilation_is_announced(tmp_path, monkeypatch):
+    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
+    said = []
+    compiled.announce_compilation(said.append)
+    (tmp_path / "loop.nbc").touch()
+    compiled.announce_compilation(said.append)
+    assert said == ["Compiling the ray loops, once per version: up to a minute …"]

@@ -51,6 +51,15 @@ def test_a_bad_value_is_one_line_naming_the_key(model: type, values: dict, messa
     assert "\n" not in str(caught.value)
 
 
+def test_an_object_stands_where_its_mesh_is() -> None:
+    np.testing.assert_array_equal(thing().world_mesh.vertices, TRIANGLE.vertices)
+
+
+def test_a_scene_is_printed_in_one_line() -> None:
+    scene = Scene(name="desk", objects=(thing(),), cameras=(Camera(**VIEW),))
+    assert f"{scene}" == repr(scene) == "<Scene 'desk': 1 objects, 1 triangles, 1 cameras>"
+
+
 def test_reflecting_more_than_arrives_is_a_warning_naming_the_object() -> None:
     with pytest.warns(UserWarning, match=r"^object 'mirror': diffuse \+ specular is 1\.1, above 1[^\n]*$"):
         thing("mirror", specular=(0.6, 0.6, 0.6))

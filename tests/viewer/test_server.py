@@ -6,11 +6,16 @@ from io import BytesIO
 from pathlib import Path
 
 import pytest
+import trimesh
 from edited_scenes import scene
+from hydra import compose, initialize_config_dir
 from marks import requires_blender
+from omegaconf import OmegaConf
 
+from rfpp.commands import CONFIG_DIR
 from rfpp.errors import UserError
 from rfpp.files import is_plain_name
+from rfpp.inference.scene_settings import LoadSettings
 from rfpp.scene.io.loading import load_scene
 from rfpp.viewer.controls import scene_file
 from rfpp.viewer.server import Viewer
@@ -49,3 +54,14 @@ def test_a_reference_shows_its_view(cycles):
     assert reference.radiance.shape == (16, 24, 3) and reference.radiance.max() > 0
     assert reference.shows(reference.scene, scene().cameras[0], (16, 24))
     assert not reference.shows(reference.scene, scene().cameras[1], (16, 24))
+
+
+def test_a_file_is_read_as_the_command_says(tmp_path):
+    trimesh.creation.icosphere(3).export(tmp_path / "ball.stl")
+    with initialize_config_dir(str(CONFIG_DIR), version_base="1.3"):
+        cfg = compose("view", overrides=["triangles=300", "backdrop=none", "up=y"])
+    loading = LoadSettings.parse(OmegaConf.to_container(cfg, resolve=True))
+    with pytest.warns(UserWarning, match="triangles were reduced to"):
+        ball = loading.load(tmp_path / "ball.stl")
+    assert [item.name for item in ball.objects] == ["ball", "key_light", "fill_light", "back_light"]
+    assert len(ball.objects[0].mesh) <= 300

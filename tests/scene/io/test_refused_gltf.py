@@ -51,6 +51,10 @@ REFUSED = {
         changed(lambda d: d.update(extensionsRequired=["KHR_draco_mesh_compression"])),
         "needs KHR_draco_mesh_compression, which cannot be read: decompress it with npx @gltf-transform/cli copy",
     ),
+    "meshopt": (
+        changed(lambda d: d.update(extensionsRequired=["EXT_meshopt_compression"])),
+        "needs EXT_meshopt_compression, which cannot be read: decompress it with npx @gltf-transform/cli copy",
+    ),
     "compressed primitive": (
         changed(lambda d: d["meshes"][0]["primitives"][0].update(extensions={"KHR_draco_mesh_compression": {}})),
         "'plane': KHR_draco_mesh_compression cannot be read",
