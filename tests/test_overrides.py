@@ -137,6 +137,8 @@ def test_commands_end_with_one_line_and_the_status_of_wrong_usage(given, said):
         ("evaluate", "evaluation.bootstrap.resamples=0", "greater than or equal to 1"),
         ("refine", "refining.samplings=[]", "not empty"),
         ("generate", "family.objects.kinds=[]", "not empty"),
+        ("generate", "family.objects.held_out=0", "greater than 0"),
+        ("generate", "family.placement.sizes.max_radius=0", "greater than 0"),
         ("evaluate", "model.transport.heads=0", "greater than or equal to 1"),
         ("evaluate", "size.encoder_layers=0", "greater than or equal to 1"),
         ("evaluate", "trainer.accelerator=abacus", "choose from"),

@@ -8,6 +8,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float
 
+from rfpp.ranges import NonNegativeFloat, PositiveFloat
 from rfpp.scene.sampling.interval import HasIntervals, Interval, uniform
 
 
@@ -29,8 +30,8 @@ class SharedSpace(HasIntervals):
     """
 
     fill: Interval
-    spread: float
-    max_radius: float
+    spread: NonNegativeFloat
+    max_radius: PositiveFloat
 
     def sample(self, rng: np.random.Generator, count: int) -> Float[np.ndarray, " count"]:
         base_radius = (3 * uniform(rng, self.fill) / (4 * np.pi * count)) ** (1 / 3)

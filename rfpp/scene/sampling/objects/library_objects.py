@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from rfpp.errors import SceneError
+from rfpp.ranges import PartOfMany
 from rfpp.scene.io.limits import MAX_TEXT_BYTES, read_member
 from rfpp.scene.mesh import Mesh, decimated, normalized_together
 from rfpp.scene.sampling.objects.library import Library
@@ -57,7 +58,7 @@ class LibraryObjects(ABC):
     """Objects of a library built by `rfpp.scene.sampling.objects.library_building.prepare`."""
 
     root: str
-    held_out: float
+    held_out: PartOfMany
     preparation: Preparation
 
     def __post_init__(self) -> None:

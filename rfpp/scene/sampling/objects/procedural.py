@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from rfpp.errors import SceneError
-from rfpp.ranges import Positive, Share
+from rfpp.ranges import PartOfMany, Positive, Share
 from rfpp.scene.mesh import Mesh, normalized
 from rfpp.scene.sampling.objects.constructed import bevelled, carved, crystal, primitive
 from rfpp.scene.sampling.objects.deformation import deformed
@@ -49,7 +49,7 @@ class ProceduralObjects:
 
     kinds: Sequence[str]
     pool: Positive
-    held_out: Share
+    held_out: PartOfMany
     stretched: Share
     deformed: Share
 
