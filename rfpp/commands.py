@@ -74,10 +74,11 @@ def entry_point(
                 _fail(error, _status(error, given))
             except InstantiationException as error:  # Hydra's wrapping of a constructor's exception
                 if isinstance(reason := missing_extra(error) or error.__cause__, UserError):
-                    _fail(reason, _status(reason, given))
+                    named = UserError(_with_key(str(reason), str(error)))
+                    _fail(named, _status(named, given))
                 if not isinstance(reason, _INVALID_VALUE):
                     raise
-                _fail(UserError(f"{str(error).rpartition('full_key: ')[2]}: {reason}"), USAGE)
+                _fail(UserError(f"{_key(str(error))}: {reason}"), USAGE)
             except OSError as error:  # raised by a library while writing
                 if error.errno not in NO_SPACE:
                     raise
@@ -138,6 +139,16 @@ def with_scenes(arguments: Sequence[str]) -> list[str]:
     quoted = ["'" + re.sub(r"(\\*)'", r"\1\1\'", file) + "'" for file in files]
     scene = [f"scene={quoted[0] if len(files) == 1 else '[' + ','.join(quoted) + ']'}"] if files else []
     return [given for given in arguments if given not in files] + scene
+
+
+def _with_key(reason: str, message: str) -> str:
+    """Return a constructor's error with the key of its setting in place of the class's name; `message` is Hydra's."""
+    called = re.match(r"Error in call to target '[\w.]*?(\w+)'", message)
+    return re.sub(rf"^{called[1]}(?=[.:])", _key(message), reason) if called else reason
+
+
+def _key(message: str) -> str:
+    return message.rpartition("full_key: ")[2]
 
 
 def _status(error: UserError, given: Sequence[str]) -> int:

@@ -100,7 +100,7 @@ def names_setting(message: str, overrides: Sequence[str]) -> bool:
     values = {value for given in overrides for value in re.split("[][,'\"]", given.partition("=")[2]) if value}
     if any(path == value or path.startswith(f"{value}/") for value in values if not Path(value).exists()):
         return True
-    if not (start := re.match(r"([\w.]+)[:=]", message)):
+    if not (start := re.match(r"([\w.]+)([:=]| is )", message)):
         return False
     named, keys = start[1], map(_key, overrides)
     return any(named == key or named.startswith(f"{key}.") or key.startswith(f"{named}.") for key in keys)

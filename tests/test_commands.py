@@ -53,6 +53,7 @@ def test_settings_by_name_include_their_defaults():
         ("calendar.first.month=13", "error: calendar.first: month must be in 1..12\n"),
         ("+calendar.first.color=1", "error: calendar.first: .*keyword argument.*\n"),
         ("calendar.share.denominator=0", "error: calendar.share: Fraction.*0.*\n"),
+        ("calendar.meshes.up=x", "error: calendar.meshes.up is 'x': choose y or z\n"),
     ],
 )
 def test_an_invalid_value_is_reported_in_one_line(given, said, tmp_path, monkeypatch, capsys):
@@ -60,6 +61,8 @@ def test_an_invalid_value_is_reported_in_one_line(given, said, tmp_path, monkeyp
     (tmp_path / "conf" / "days.yaml").write_text(
         "calendar:\n  first: {_target_: datetime.date, year: 2026, month: 1, day: 1}\n"
         "  share: {_target_: fractions.Fraction, numerator: 1, denominator: 7}\n"
+        "  meshes: {_target_: rfpp.scene.sampling.objects.preparation.Preparation, max_faces: 9, min_faces: 1,\n"
+        "           non_watertight: keep, most_parts: 1, up: z}\n"
     )
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "argv", ["days", given])

@@ -89,6 +89,8 @@ def _message(given, defaults, key):
         ("shards/manifest.json: there is no finished data set here", True),
         ("a.json.gz: cannot be read", False),
         ("README.md: no scene", False),
+        ("camera.fov is -1: use 1 or more", True),
+        ("camera.fov isles: use 1 or more", False),
     ],
 )
 def test_an_error_names_a_setting_of_the_command_line_or_its_missing_file(message, named):

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from rfpp.errors import SceneError
-from rfpp.ranges import Positive, Share
+from rfpp.ranges import PartOfMany, Positive, Share
 from rfpp.scene.mesh import Mesh
 from rfpp.scene.sampling.interval import HasIntervals, Interval, uniform
 from rfpp.scene.sampling.open_region import OpenRegion
@@ -41,7 +41,7 @@ class Placement(HasIntervals):
     gap: float
     margin: float
     attempts: Positive
-    shrink: Share
+    shrink: PartOfMany
 
     def sample(self, rng: np.random.Generator, meshes: Sequence[Mesh], open_region: OpenRegion) -> list[Transform]:
         """Return one transform per normalized mesh, in order.
