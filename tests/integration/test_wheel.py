@@ -83,6 +83,24 @@ def test_a_scene_is_rendered_by_the_network_that_comes_along(installed):
     assert (installed.folder / "data" / "renders" / "cornell_box_0.png").is_file()
 
 
+def test_type_checkers_know_the_public_names(installed, tmp_path):
+    (tmp_path / "client.py").write_text(
+        "from rfpp import Camera, Renderer, load_scene\n"
+        "renderer = Renderer.load('radiosity')\n"
+        "mean: float = float(renderer.render(['a.json', 'b.glb'], resolution=(64, 32)).mean())\n"
+        "view = Camera(position=(0, -2, 1), look_at=(0, 0, 0), fov=40)\n"
+        "for name, images in renderer.render_lights(load_scene('a.json', up='y'), 32).items():\n"
+        "    print(name.upper(), images.shape, view.fov + mean)\n"
+        "renderer.render(3)\n"
+        "view.fog\n"
+    )
+    command = [sys.executable, "-m", "mypy", "--strict", "--follow-imports=silent", "client.py"]
+    environment = os.environ | {"MYPYPATH": str(installed.site)}
+    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+    errors = re.findall(r"^client.py:(\d+): .*\[([\w-]+)\]$", done.stdout, re.MULTILINE)
+    assert errors == [("7", "arg-type"), ("8", "attr-defined")], done.stdout
+
+
 def test_every_command_is_listed(installed):
     listed = {line.split()[0] for line in installed("--help").splitlines()[2:]}
     assert listed == {path.stem for path in (ROOT / "launch").glob("*.py")}
