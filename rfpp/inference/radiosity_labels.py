@@ -13,6 +13,7 @@ from rfpp.inference.radiosity_engine import RadiosityEngine
 from rfpp.radiosity.cell_places import even_points
 from rfpp.radiosity.cell_tensors import CellTensors
 from rfpp.radiosity.radiosity import Radiosity
+from rfpp.ranges import NonNegative, Positive
 from rfpp.reference import cycles
 from rfpp.reference.labels import Labels
 from rfpp.scene.packed import PackedScene
@@ -35,10 +36,10 @@ class RadiosityLabels:
     """
 
     held_out: cycles.CyclesSettings
-    light_samples: int
-    points: int
-    token_bounces: int | None
-    seed: int
+    light_samples: Positive
+    points: Positive
+    token_bounces: NonNegative | None
+    seed: NonNegative
 
     def labels(
         self,

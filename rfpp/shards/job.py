@@ -67,6 +67,8 @@ class DatasetSettings:
                 raise UserError(f"data.splits.{split} does not exist: choose from {', '.join(SPLIT_CODES)}")
             if count < 0:
                 raise UserError(f"data.splits.{split} is {count}: use 0 or more")
+        if not any(self.splits.values()):
+            raise UserError("data.splits: all are 0: give one of them a number of scenes")
         if self.splits.get("train_newviews", 0) > self.splits.get("train", 0):
             raise UserError("data.splits.train_newviews is larger than data.splits.train, whose scenes it shows")
 

@@ -237,6 +237,7 @@ def test_a_full_disk_names_the_shard_and_keeps_finished_ones(tmp_path, finished,
         ({"splits": {"train": 2, "holdout": 1}}, r"data\.splits\.holdout.*choose from train"),
         ({"splits": {"train": -2}}, r"data\.splits\.train is -2"),
         ({"splits": {"train": 2, "train_newviews": 3}}, "train_newviews is larger"),
+        ({"splits": {"train": 0, "test": 0}}, r"data\.splits: all are 0"),
     ],
 )
 def test_bad_settings_are_named(change, message):
