@@ -10,6 +10,7 @@ from multiprocessing.connection import wait
 from typing import TypeVar
 
 from rfpp.errors import UserError
+from rfpp.ranges import Positive, PositiveFloat
 from rfpp.reference.worker import Limits, Slot, Task
 
 Item = TypeVar("Item")
@@ -33,9 +34,9 @@ class RenderFarm:
     def __init__(
         self,
         workers: int,
-        jobs_per_worker: int = 1000,
+        jobs_per_worker: Positive = 1000,
         max_growth_mb: float | int = math.inf,
-        max_job_seconds: float | int = math.inf,
+        max_job_seconds: PositiveFloat = math.inf,
     ) -> None:
         if workers < 0:
             raise UserError(f"farm.workers is {workers}: use a positive number, or 0 for one per core")

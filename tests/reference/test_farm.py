@@ -185,13 +185,13 @@ def test_an_item_that_always_kills_its_worker_is_an_error_with_the_signal():
 
 
 def test_a_hanging_worker_is_replaced_and_its_item_tried_again(tmp_path):
-    with RenderFarm(2, max_job_seconds=4) as farm:
+    with RenderFarm(2, max_job_seconds=4.0) as farm:
         results = [r for _, r in farm.map(hang_once, [str(tmp_path / name) for name in "abc"])]
     assert results == ["done"] * 3
 
 
 def test_an_item_that_always_hangs_is_an_error_and_the_others_go_on():
-    with RenderFarm(1, max_job_seconds=4) as farm:
+    with RenderFarm(1, max_job_seconds=4.0) as farm:
         [(_, result)] = farm.map(always_hang, [0])
         assert isinstance(result, WorkerHangError)
         assert "after 4 s" in str(result)

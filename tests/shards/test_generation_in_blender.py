@@ -35,7 +35,7 @@ class Sabotaged:
 @requires_blender
 def test_killed_and_hanging_workers_lose_nothing(tmp_path):
     def rendered(name: str, render) -> Manifest:
-        with RenderFarm(1, max_job_seconds=20) as farm:
+        with RenderFarm(1, max_job_seconds=20.0) as farm:
             reference = replace(REFERENCE, samples=4)
             made = recipe(tmp_path / name, render=render, reference=reference, resolution=32, splits={"train": 3})
             return generation.generate(made, farm, lambda done, total: None)
