@@ -62,6 +62,8 @@ def require_valid(cfg: DictConfig, defaults: DictConfig, overrides: Sequence[str
 def _require(cfg: DictConfig, defaults: DictConfig, key: str) -> None:
     before, value = (OmegaConf.select(each, key, throw_on_resolution_failure=False) for each in (defaults, cfg))
     if isinstance(before, DictConfig) and isinstance(value, DictConfig):
+        if "_target_" in before and "_target_" not in value:
+            raise UserError(f"{key}={value}: `_target_` is missing: add it, or set single values, as in {key}.name=…")
         for name in before.keys() & value.keys():
             _require(cfg, defaults, f"{key}.{name}")
         return

@@ -25,8 +25,7 @@ WIDER = {"callbacks.checkpoints.every_n_minutes": ["null"], "callbacks.divergenc
          "trainer.devices": ["null", "[1]"]}  # fmt: skip
 
 #: Settings without a default whose type is not known before the command, or a group, has read them.
-CHECKED_BY_THE_COMMAND = {"triangles", "up", "cameras", "camera.position", "camera.look_at", "camera.fov", "transports",
-                          "benchmark.training.loss", "benchmark.training.optimizer"}  # fmt: skip
+CHECKED_BY_THE_COMMAND = {"triangles", "up", "cameras", "camera.position", "camera.look_at", "camera.fov", "transports"}
 
 
 def leaves(settings, prefix=""):

@@ -10,6 +10,7 @@ from jaxtyping import Float, Int
 
 from rfpp.batch import RaggedBatch, SceneViews
 from rfpp.errors import UserError
+from rfpp.ranges import Positive
 from rfpp.raycast.first_hit import CHANNELS
 from rfpp.scene.camera import camera_to_world
 from rfpp.scene.spec import Camera
@@ -29,11 +30,11 @@ class Case:
         triangles, objects, views: Numbers per scene; light sources count as objects.
     """
 
-    triangles: int
-    objects: int
-    views: int
-    resolution: int
-    scenes: int
+    triangles: Positive
+    objects: Positive
+    views: Positive
+    resolution: Positive
+    scenes: Positive
 
     def __post_init__(self) -> None:
         if not 1 <= self.objects <= self.triangles or min(self.views, self.resolution, self.scenes) < 1:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from statistics import median
-from typing import Any
+from typing import Any, Literal
 
 import torch
 from torch import nn
@@ -67,7 +67,7 @@ def measure(
     training: TrainingParts,
     case: Case,
     groups: Sequence[Mapping[str, Any]],
-    device: str,
+    device: Literal["cpu", "cuda", "auto"],
     seconds: float | int,
     most_seconds: float | int,
     finished: str | None,

@@ -17,6 +17,7 @@ from rfpp.benchmark.methods import ByCycles, ByRenderer, errors
 from rfpp.files import write_atomically
 from rfpp.inference.references import Traced
 from rfpp.metrics.flicker import flicker
+from rfpp.ranges import Positive
 from rfpp.reference.cycles import CyclesSettings
 from rfpp.scene.packed import PackedScene
 from rfpp.scene.triangles import EMISSION
@@ -28,10 +29,10 @@ _NEXT_VIEW, _ARC = 5.0, 12.0
 def measure(
     checkpoint: str,
     exhibits: Mapping[str, PackedScene],
-    resolution: int,
+    resolution: Positive,
     samplings: Sequence[Mapping[str, int]],
-    samples: Sequence[int],
-    rounds: int,
+    samples: Sequence[Positive],
+    rounds: Positive,
     cycles: CyclesSettings,
     converged: CyclesSettings,
     animation: Mapping[str, int] | None,

@@ -11,6 +11,7 @@ import numpy as np
 from rfpp.benchmark.csv_rows import Row
 from rfpp.benchmark.methods import ByCycles, ByRenderer, errors
 from rfpp.imaging.panels import Picture, error_map, panel, save_picture, tone_mapped
+from rfpp.ranges import Positive
 from rfpp.reference.cycles import CyclesSettings
 from rfpp.scene.packed import PackedScene
 
@@ -18,10 +19,10 @@ from rfpp.scene.packed import PackedScene
 def measure(
     checkpoints: Sequence[str],
     exhibits: Mapping[str, PackedScene],
-    resolution: int,
+    resolution: Positive,
     reference: CyclesSettings,
     cycles: CyclesSettings,
-    samples: Sequence[int],
+    samples: Sequence[Positive],
     picture: str,
     progress: Callable[[int, int], None],
 ) -> Iterator[Row]:

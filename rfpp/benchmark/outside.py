@@ -14,6 +14,7 @@ from rfpp.benchmark.mitsuba_reference import render, sees_emitters
 from rfpp.imaging.panels import panel, save_picture
 from rfpp.imaging.tone_maps import SRGB
 from rfpp.inference.renderer import Renderer
+from rfpp.ranges import Positive
 from rfpp.reference.cycles import CyclesSettings
 from rfpp.scene.io.loading import load_scene
 from rfpp.scene.packed import pack
@@ -29,8 +30,8 @@ def measure(
     folder: Path | str,
     checkpoint: str,
     presets: Mapping[str, CyclesSettings],
-    samples: int,
-    resolution: int,
+    samples: Positive,
+    resolution: Positive,
     picture: Path | str | None,
     progress: Callable[[int, int], None],
 ) -> Iterator[Row]:

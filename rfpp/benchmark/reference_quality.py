@@ -12,6 +12,7 @@ from rfpp.benchmark.csv_rows import Row
 from rfpp.benchmark.methods import ByCycles
 from rfpp.inference.references import Traced
 from rfpp.metrics.image import log_l1, mape
+from rfpp.ranges import Positive
 from rfpp.reference.cycles import CyclesSettings
 from rfpp.scene.packed import pack
 from rfpp.shards.job import SceneSource
@@ -21,8 +22,8 @@ def measure(
     families: Mapping[str, SceneSource],
     settings: Mapping[str, CyclesSettings],
     converged: CyclesSettings,
-    scenes: int,
-    resolution: int,
+    scenes: Positive,
+    resolution: Positive,
     seed: int,
     progress: Callable[[int, int], None],
 ) -> Iterator[Row]:

@@ -13,6 +13,7 @@ from rfpp.batch import RaggedBatch, SceneViews
 from rfpp.benchmark.csv_rows import Row
 from rfpp.benchmark.ranks import Timings, TrainingCase, as_trained, time_ranks
 from rfpp.benchmark.step_time import Cluster, Work, step_time
+from rfpp.ranges import Positive
 from rfpp.training.batching import Partition
 from rfpp.training.flops import training_flops
 
@@ -23,11 +24,11 @@ COUNTED = 3
 def measure(
     checked: Sequence[str],
     predicted: Sequence[str],
-    sample: int,
+    sample: Positive,
     partitions: Mapping[str, Partition],
     clusters: Mapping[str, Cluster],
-    devices: Sequence[int],
-    rounds: int,
+    devices: Sequence[Positive],
+    rounds: Positive,
     progress: Callable[[int, int], None],
 ) -> Iterator[Row]:
     """Yield rows of one and two processes on this machine, then of the clusters, by partition and devices.
