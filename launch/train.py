@@ -34,6 +34,7 @@ from rfpp.metrics.image import ImageMetrics
 from rfpp.training.blocks import compile_blocks
 from rfpp.training.callbacks.divergence import DivergenceError
 from rfpp.training.callbacks.finite_gradients import NonFiniteGradientError
+from rfpp.training.callbacks.tracked_run import model_selection
 from rfpp.training.checkpoint_files import AUTO, checkpoint_to_resume, point_at
 from rfpp.training.module import RenderingModule
 from rfpp.training.plan import PLAN_KEY, choose_acceleration, choose_precision, plan_training, require_devices
@@ -138,9 +139,10 @@ def main(cfg: DictConfig) -> Path | None:
         raise
     except MisconfigurationException as error:
         raise UserError(" ".join(str(error).split())) from error
-    best = Path(trainer.checkpoint_callback.best_model_path or run_dir / "checkpoints" / "last.ckpt")  # not validated
+    selection = model_selection(trainer)
+    best = Path((selection and selection.best_model_path) or run_dir / "checkpoints" / "last.ckpt")  # not validated
     if is_first:
-        console.print(end_summary(logger, best, cfg.data.root, cfg.callbacks.best.monitor))
+        console.print(end_summary(logger, best, cfg.data.root, selection and selection.monitor))
     return best
 
 

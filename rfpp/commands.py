@@ -22,11 +22,11 @@ from omegaconf import DictConfig, OmegaConf
 import rfpp.interrupts  # noqa: F401 (one-line messages for Ctrl-C and missing extras)
 from rfpp.allocator import keep_freed_memory
 from rfpp.command_help import help_text
-from rfpp.errors import UserError
+from rfpp.errors import UserError, one_line
 from rfpp.extras import missing_extra
 from rfpp.files import write_atomically
 from rfpp.folders import carried
-from rfpp.overrides import defaults_of, names_setting, require_valid, suggestions
+from rfpp.overrides import defaults_of, names_path, names_setting, require_group_names, require_valid, suggestions
 
 Result = TypeVar("Result")
 
@@ -76,10 +76,13 @@ def entry_point(
                 if isinstance(reason := missing_extra(error) or error.__cause__, UserError):
                     named = UserError(_with_key(str(reason), str(error)))
                     _fail(named, _status(named, given))
+                if reason is None:  # Hydra's own refusal
+                    _fail(UserError(one_line(" ".join(str(error).split()))), USAGE)
                 if not isinstance(reason, _INVALID_VALUE):
                     raise
                 _fail(UserError(f"{_key(str(error))}: {reason}"), USAGE)
             except OSError as error:  # raised by a library while writing
+                _fail_if_named(error, given)
                 if error.errno not in NO_SPACE:
                     raise
                 place = error.filename or "while writing"
@@ -101,9 +104,16 @@ def entry_point(
                 return None
             if {"-m", "--multirun"} & {*sys.argv}:  # Hydra resolves the time for each run anew; they share a folder
                 os.environ.setdefault("RFPP_SWEEP", time.strftime("%Y-%m-%d_%H-%M-%S"))
+            try:
+                require_group_names(sys.argv[1:], config_dir)
+            except UserError as error:
+                _fail(error, USAGE)
             os.environ["HYDRA_FULL_ERROR"] = "1"  # Hydra then raises its errors, and keeps tracebacks of defects
             try:
                 return composed()
+            except OSError as error:  # raised by Hydra for its own folder
+                _fail_if_named(error, sys.argv[1:])
+                raise
             except (ConfigCompositionException, OverrideParseException) as error:
                 message = " ".join(f"{error} {error.__cause__ or ''}".split())
                 if unknown := re.match(r"Could not override '([^']+)'", message):
@@ -139,6 +149,12 @@ def with_scenes(arguments: Sequence[str]) -> list[str]:
     quoted = ["'" + re.sub(r"(\\*)'", r"\1\1\'", file) + "'" for file in files]
     scene = [f"scene={quoted[0] if len(files) == 1 else '[' + ','.join(quoted) + ']'}"] if files else []
     return [given for given in arguments if given not in files] + scene
+
+
+def _fail_if_named(error: OSError, given: Sequence[str]) -> None:
+    """Exit if a file or folder of the command line cannot be opened or made."""
+    if isinstance(error.filename, str) and names_path(error.filename, given):
+        _fail(UserError(f"{error.filename}: {error.strerror}: choose another place"), USAGE)
 
 
 def _with_key(reason: str, message: str) -> str:

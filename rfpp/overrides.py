@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from difflib import get_close_matches
@@ -28,6 +29,8 @@ _NULLABLE = (
 )
 #: Ends of the names of lists that may be empty although their defaults are not.
 _MAY_BE_EMPTY = ".gbuffer_channels"
+#: What Hydra does not take for the name of a file.
+_NO_NAME = re.compile(r"null|true|false|[-+]?[\d.]+(e[-+]?\d+)?|\{.*", re.IGNORECASE)
 #: Numbers from here on have no meaning in any setting.
 _HUGE = 1e15
 #: Values that are replaced before a constructor receives them.
@@ -99,13 +102,31 @@ def names_setting(message: str, overrides: Sequence[str]) -> bool:
     The value of a setting counts as well if it is the path of a file that does not exist.
     """
     path = message.partition(": ")[0]
-    values = {value for given in overrides for value in re.split("[][,'\"]", given.partition("=")[2]) if value}
-    if any(path == value or path.startswith(f"{value}/") for value in values if not Path(value).exists()):
+    if names_path(path, overrides) and not os.path.exists(path):  # Path.exists raises for long names
         return True
     if not (start := re.match(r"([\w.]+)([:=]| is )", message)):
         return False
     named, keys = start[1], map(_key, overrides)
     return any(named == key or named.startswith(f"{key}.") or key.startswith(f"{named}.") for key in keys)
+
+
+def names_path(path: str, overrides: Sequence[str]) -> bool:
+    """Return whether `path` is the value of a setting, or lies in a folder that is."""
+    values = {value for given in overrides for value in re.split("[][,'\"]", given.partition("=")[2]) if value}
+    folders = {*values, *(str(Path(value).absolute()) for value in values)}
+    return any(path == folder or path.startswith(f"{folder}/") for folder in folders)
+
+
+def require_group_names(overrides: Sequence[str], config_dir: Path) -> None:
+    """Raise UserError for a group of settings that is deleted, or set to something else than the name of a file."""
+    for given in overrides:
+        key, sign, value = given.lstrip("+").partition("=")
+        if sign and not key:
+            raise UserError(f"{given}: the name of the setting is missing: write <name>{given}")
+        folder = config_dir / key.lstrip("~").partition("@")[0]
+        if key and folder.is_dir() and (key.startswith("~") or (sign and _NO_NAME.fullmatch(value))):
+            names = ", ".join(sorted(file.stem for file in folder.glob("*.yaml")))
+            raise UserError(f"{given}: choose from {names}")
 
 
 def suggestions(key: str, defaults: DictConfig) -> list[str]:

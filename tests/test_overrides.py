@@ -106,6 +106,10 @@ def test_an_error_names_a_setting_of_the_command_line_or_its_missing_file(messag
             "datamodule.root=a",
             "datamodule.root: there is no such setting: did you mean datamodule.source.root?",
         ),
+        ("trainer=null", "trainer=null: choose from auto, cpu, ddp"),
+        ("~logger", "~logger: choose from mlflow, none, tensorboard, wandb"),
+        ("=5", "=5: the name of the setting is missing: write <name>=5"),
+        ("hydra.run.dir=/dev/null/x", "/dev/null/x: Not a directory: choose another place"),
         ("steps=many", "steps=many: a number was expected; the default is 20"),
         ("callbacks.checkpoints.folder=a", "callbacks.checkpoints.folder=a: is not in {run_dir}: set run_dir alone"),
         (

@@ -43,11 +43,11 @@ def start_summary(
     )
 
 
-def end_summary(logger: RunLogger, checkpoint: Path, data_root: str, monitor: str) -> str:
+def end_summary(logger: RunLogger, checkpoint: Path, data_root: str, monitor: str | None) -> str:
     """Summarize the best validation, its checkpoint, the logs, and the commands to evaluate and render.
 
     Args:
-        monitor: Metric that selects the best checkpoint, the lower the better, e.g. "validation/log_l1".
+        monitor: Metric that selects the best checkpoint, the lower the better; None if none does.
     """
     validations = [
         record

@@ -8,6 +8,7 @@ from typing import Any
 
 import lightning as L
 import torch
+from lightning.pytorch.callbacks import ModelCheckpoint
 
 from rfpp.checkpoint.loading import CHECKPOINT_KEY
 from rfpp.training.stopping import StoppedError
@@ -35,7 +36,7 @@ class TrackedRun(L.Callback):
             logger.sync()
 
     def on_validation_end(self, trainer: L.Trainer, module: L.LightningModule) -> None:
-        monitor = trainer.checkpoint_callback
+        monitor = model_selection(trainer)
         if trainer.sanity_checking or monitor is None or monitor.monitor not in trainer.callback_metrics:
             return
         scores = [trainer.callback_metrics[monitor.monitor], monitor.best_model_score]  # the latter of those before
@@ -49,13 +50,19 @@ class TrackedRun(L.Callback):
                 logger.mark_stopped()
 
     def on_fit_end(self, trainer: L.Trainer, module: L.LightningModule) -> None:
-        best = trainer.checkpoint_callback and trainer.checkpoint_callback.best_model_path
+        selection = model_selection(trainer)
+        best = selection and selection.best_model_path
         complete = trainer.global_step >= trainer.max_steps
         if not (trainer.is_global_zero and complete and best and self.model_name):
             return
         for logger in _loggers(trainer):
             file = strip_training_state(Path(best), logger.run_dir / FOLDER / CHECKPOINT)
             logger.register_model(self.model_name, file)
+
+
+def model_selection(trainer: L.Trainer) -> ModelCheckpoint | None:
+    """Return the callback that keeps the best checkpoint; None if the configuration has left it out."""
+    return next((each for each in trainer.checkpoint_callbacks if isinstance(each, ModelCheckpoint)), None)
 
 
 def strip_training_state(checkpoint: Path, target: Path) -> Path:
