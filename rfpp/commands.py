@@ -34,6 +34,9 @@ Result = TypeVar("Result")
 USAGE = 2
 #: Errors of a full disk: no space, quota used up, file-size limit reached.
 NO_SPACE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+#: Errors of a path that cannot be a file or folder of ours.
+_UNUSABLE = (errno.ENOENT, errno.ENOTDIR, errno.EISDIR, errno.EEXIST, errno.EACCES, errno.EPERM, errno.EROFS,
+             errno.ENAMETOOLONG, errno.ELOOP)  # fmt: skip
 #: SQLite's message for a full disk, which MLflow raises in an exception of its own.
 SQLITE_NO_SPACE = "database or disk is full"
 
@@ -153,7 +156,7 @@ def with_scenes(arguments: Sequence[str]) -> list[str]:
 
 def _fail_if_named(error: OSError, given: Sequence[str]) -> None:
     """Exit if a file or folder of the command line cannot be opened or made."""
-    if isinstance(error.filename, str) and names_path(error.filename, given):
+    if error.errno in _UNUSABLE and isinstance(error.filename, str) and names_path(error.filename, given):
         _fail(UserError(f"{error.filename}: {error.strerror}: choose another place"), USAGE)
 
 

@@ -1,5 +1,7 @@
 """Composition and error messages of all commands."""
 
+import errno
+import os
 import re
 import signal
 import subprocess
@@ -69,6 +71,29 @@ def test_an_invalid_value_is_reported_in_one_line(given, said, tmp_path, monkeyp
     with pytest.raises(SystemExit, match="2"):
         entry_point("days", tmp_path / "conf")(lambda cfg: instantiate(cfg.calendar))()
     assert re.fullmatch(said, capsys.readouterr().err)
+
+
+@pytest.mark.parametrize(
+    ("reason", "file", "status", "said"),
+    [
+        (errno.ENOTDIR, "runs/mine/a", "2", "runs/mine/a: Not a directory: choose another place"),
+        (errno.ENOSPC, "runs/mine/a", "1", "runs/mine/a: No space left on device: free some space and run"),
+    ],
+)
+def test_folders_that_cannot_be_used_and_full_disks_are_told_apart(
+    reason, file, status, said, tmp_path, monkeypatch, capsys
+):
+    (tmp_path / "conf").mkdir()
+    (tmp_path / "conf" / "days.yaml").write_text("folder: runs\n")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", ["days", "folder=runs/mine"])
+
+    def fail(cfg):
+        raise OSError(reason, os.strerror(reason), file)
+
+    with pytest.raises(SystemExit, match=status):
+        entry_point("days", tmp_path / "conf")(fail)()
+    assert said in capsys.readouterr().err
 
 
 def test_an_interrupted_command_ends_with_one_line_and_by_the_signal():
