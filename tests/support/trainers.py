@@ -24,7 +24,7 @@ class StillTrainer(L.Trainer):
     is_global_zero, sanity_checking, precision = True, False, "32-true"
     callback_metrics: Mapping[str, torch.Tensor] = {}
     loggers: Sequence[Logger] = ()
-    checkpoint_callback = None
+    checkpoint_callbacks = ()
     strategy = SimpleNamespace(
         root_device=torch.device("cpu"), reduce=lambda values, reduce_op: values, all_gather=lambda values: values
     )

@@ -4,6 +4,7 @@ import signal
 
 import pytest
 import torch
+from lightning.pytorch.callbacks import Checkpoint, ModelCheckpoint
 from trainers import RecordingModule, StillTrainer
 
 from rfpp.checkpoint.loading import CHECKPOINT_KEY
@@ -29,11 +30,6 @@ class Logger(RunLogger):
         self.calls.append((name, checkpoint))
 
 
-class Checkpoints:
-    def __init__(self, best):
-        self.best_model_path = str(best)
-
-
 @pytest.fixture
 def best(tmp_path):
     content = {CHECKPOINT_KEY: {"steps": 7}, "state_dict": {"w": torch.arange(3.0)}, "optimizer_states": [{"m": 1}]}
@@ -44,7 +40,9 @@ def best(tmp_path):
 def calls_at_the_end(tmp_path, best, model="rfpp-test", **attributes):
     logger = Logger(tmp_path)
     trainer = StillTrainer(**{"global_step": 20, "max_steps": 20, "loggers": [logger]} | attributes)
-    trainer.checkpoint_callback = Checkpoints(best)
+    selection = ModelCheckpoint(monitor="validation/log_l1")
+    selection.best_model_path = str(best)
+    trainer.checkpoint_callbacks = [Checkpoint(), selection] if best is not None else [Checkpoint()]
     TrackedRun(model).on_fit_end(trainer, RecordingModule())
     return logger.calls
 
@@ -58,10 +56,10 @@ def test_the_best_checkpoint_of_a_complete_run_is_registered(tmp_path, best):
     assert list(file.parent.iterdir()) == [file]
 
 
-@pytest.mark.parametrize("reason", ["incomplete", "other rank", "no name", "no checkpoint"])
+@pytest.mark.parametrize("reason", ["incomplete", "other rank", "no name", "no selection", "no checkpoint"])
 def test_nothing_else_is_registered(tmp_path, best, reason):
     attributes = {"incomplete": {"global_step": 19}, "other rank": {"is_global_zero": False}}.get(reason, {})
-    path = "" if reason == "no checkpoint" else best
+    path = {"no selection": None, "no checkpoint": ""}.get(reason, best)
     assert calls_at_the_end(tmp_path, path, None if reason == "no name" else "rfpp-test", **attributes) == []
 
 
