@@ -102,7 +102,7 @@ def names_setting(message: str, overrides: Sequence[str]) -> bool:
     The value of a setting counts as well if it is the path of a file that does not exist.
     """
     path = message.partition(": ")[0]
-    if names_path(path, overrides) and not os.path.exists(path):  # Path.exists raises for long names
+    if any(_holds(value, path) for value in _values(overrides) if not os.path.exists(value)):  # Path.exists may raise
         return True
     if not (start := re.match(r"([\w.]+)([:=]| is )", message)):
         return False
@@ -112,9 +112,15 @@ def names_setting(message: str, overrides: Sequence[str]) -> bool:
 
 def names_path(path: str, overrides: Sequence[str]) -> bool:
     """Return whether `path` is the value of a setting, or lies in a folder that is."""
-    values = {value for given in overrides for value in re.split("[][,'\"]", given.partition("=")[2]) if value}
-    folders = {*values, *(str(Path(value).absolute()) for value in values)}
-    return any(path == folder or path.startswith(f"{folder}/") for folder in folders)
+    return any(_holds(value, path) or _holds(str(Path(value).absolute()), path) for value in _values(overrides))
+
+
+def _values(overrides: Sequence[str]) -> set[str]:
+    return {value for given in overrides for value in re.split("[][,'\"]", given.partition("=")[2]) if value}
+
+
+def _holds(folder: str, path: str) -> bool:
+    return path == folder or path.startswith(f"{folder}/")
 
 
 def require_group_names(overrides: Sequence[str], config_dir: Path) -> None:
