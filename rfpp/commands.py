@@ -114,9 +114,6 @@ def entry_point(
             os.environ["HYDRA_FULL_ERROR"] = "1"  # Hydra then raises its errors, and keeps tracebacks of defects
             try:
                 return composed()
-            except OSError as error:  # raised by Hydra for its own folder
-                _fail_if_named(error, sys.argv[1:])
-                raise
             except (ConfigCompositionException, OverrideParseException) as error:
                 message = " ".join(f"{error} {error.__cause__ or ''}".split())
                 if unknown := re.match(r"Could not override '([^']+)'", message):
@@ -125,6 +122,9 @@ def entry_point(
                         similar = suggestions(unknown[1], defaults_of(config_name, config_dir, sys.argv[1:]))
                     message += f": did you mean {' or '.join(similar)}?" if similar else ": see --help"
                 _fail(UserError(message), USAGE)
+            except OSError as error:  # raised by Hydra for its own folder
+                _fail_if_named(error, sys.argv[1:])
+                raise
 
         return command
 
