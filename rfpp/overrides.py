@@ -130,7 +130,7 @@ def require_group_names(overrides: Sequence[str], config_dir: Path) -> None:
         if sign and not key:
             raise UserError(f"{given}: the name of the setting is missing: write <name>{given}")
         folder = config_dir / key.lstrip("~").partition("@")[0]
-        if key and folder.is_dir() and (key.startswith("~") or (sign and _NO_NAME.fullmatch(value))):
+        if key and os.path.isdir(folder) and (key.startswith("~") or (sign and _NO_NAME.fullmatch(value))):
             names = ", ".join(sorted(file.stem for file in folder.glob("*.yaml")))
             raise UserError(f"{given}: choose from {names}")
 
