@@ -43,7 +43,7 @@ from rfpp.shards.tar import unpack
 from rfpp.shards.verification import verify
 
 
-@entry_point("generate")
+@entry_point("generate", built=("data", "family", "farm", "reference"))
 def main(cfg: DictConfig) -> Any:
     """Apply `cfg.action` to the data set `cfg.data`; returns the result of the action."""
     console = Console(highlight=False, soft_wrap=True)

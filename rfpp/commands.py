@@ -22,6 +22,7 @@ from omegaconf import DictConfig, OmegaConf
 import rfpp.interrupts  # noqa: F401 (one-line messages for Ctrl-C and missing extras)
 from rfpp.allocator import keep_freed_memory
 from rfpp.command_help import help_text
+from rfpp.composition import require_valid_files
 from rfpp.errors import UserError, one_line
 from rfpp.extras import missing_extra
 from rfpp.files import write_atomically
@@ -43,8 +44,8 @@ SQLITE_NO_SPACE = "database or disk is full"
 #: Exceptions of constructors that receive an invalid value or an unknown key.
 _INVALID_VALUE = (ValueError, TypeError, ArithmeticError, RuntimeError)
 
-#: Groups that may be given with a plus, as in Hydra's documentation, although they have a default here.
-_WITH_PLUS = ("+experiment=", "+debug=")
+#: Groups of settings for all sections. They may be given with a plus, as in Hydra's documentation.
+_SHARED = ("experiment=", "debug=")
 
 _SCENE_FILE = re.compile(r"[^-=][^=]*\.(json|h5|glb|gltf|obj|ply|stl)", re.IGNORECASE)
 
@@ -53,12 +54,13 @@ CONFIG_DIR = carried("conf", "_conf")
 
 
 def entry_point(
-    config_name: str, config_dir: Path = CONFIG_DIR
+    config_name: str, config_dir: Path = CONFIG_DIR, built: Collection[str] = ()
 ) -> Callable[[Callable[[DictConfig], Result]], Callable[[], Result | None]]:
     """Decorate `task(cfg)` into a command that composes `<config_dir>/<config_name>.yaml` and the command line.
 
     A `UserError` is printed as one line on stderr and the process exits with status 1, or 2 if a setting is unknown,
     is invalid or names a file that does not exist. The undecorated task is available as `command.__wrapped__`.
+    `built` names the sections whose classes the command imports; all by default.
     """
 
     def decorate(task: Callable[[DictConfig], Result]) -> Callable[[], Result | None]:
@@ -68,7 +70,11 @@ def entry_point(
             keep_freed_memory()
             given = HydraConfig.get().overrides.task if HydraConfig.initialized() else []
             try:
-                require_valid(cfg, defaults_of(config_name, config_dir, given) if given else cfg, given)
+                own = [each for each in given if not each.startswith(_SHARED)]
+                defaults = defaults_of(config_name, config_dir, given) if given else cfg
+                base = defaults if own == given else defaults_of(config_name, config_dir, own)
+                require_valid(cfg, defaults, given)
+                require_valid_files(cfg, base, config_dir, built)
             except UserError as error:
                 _fail(error, USAGE)
             try:
@@ -133,7 +139,7 @@ def entry_point(
 
 def without_plus(arguments: Sequence[str]) -> list[str]:
     """Return the command line with `experiment=…` for `+experiment=…`."""
-    return [given[1:] if given.startswith(_WITH_PLUS) else given for given in arguments]
+    return [given[1:] if given[:1] == "+" and given[1:].startswith(_SHARED) else given for given in arguments]
 
 
 def with_groups(arguments: Sequence[str]) -> list[str]:

@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal, get_type_hints
 from omegaconf import DictConfig, OmegaConf
 from pydantic import AfterValidator, ConfigDict, Field, PydanticUserError, TypeAdapter, ValidationError
 
-from rfpp.ranges import NonNegative, Positive
+from rfpp.ranges import NonNegative, Positive, Share
 
 
 def _text(pattern: str, expected: str) -> Any:
@@ -32,37 +32,57 @@ _ADDRESS = _text(
 _METRIC = _text("validation/", "a validation metric was expected, such as validation/log_l1")
 #: Types of settings that are no argument of a constructor, or one of Lightning's with a wider annotation.
 _TYPES = {
+    "accelerate": Literal["auto", "none", "graphs", "compiled"],
+    "action": str,
     "against": str | None,
     "callbacks.best.mode": Literal["min", "max"],
     "callbacks.best.monitor": _METRIC | None,
     "callbacks.divergence.factor": Annotated[float, Field(gt=0)],
     "checkpoint": str | Annotated[list[str], Field(min_length=1)] | None,
+    "data.splits": dict[str, NonNegative],
     "datamodule.augmentation.color": dict[Literal["_target_"], str] | None,
     "datamodule.source.root": str | Annotated[list[str], Field(min_length=1)],
     "device": str | None,
     "evaluation.ablation_scenes": NonNegative,
     "evaluation.baseline_scenes": Positive,
     "evaluation.bootstrap.resamples": Positive,
+    "evaluation.bootstrap.seed": NonNegative,
+    "evaluation.detailed": bool,
+    "evaluation.lpips": bool,
     "evaluation.splits": Annotated[list[str], Field(min_length=1)],
     "format": Literal["renderformer", "h5", "exr"],
     "h5.folder": str | None,
+    "h5.test": Share,
+    "h5.validation": Share,
     "initial_weights": str | None,
     "mask": str | list[str] | None,
     "logger.tracking_uri": _ADDRESS | None,
     "max_megabytes": Annotated[float, Field(gt=0, le=1e6)],
+    "method": str,
+    "mlflow_experiment": str,
     "moving_seconds": Annotated[float, Field(gt=0, le=60)],
+    "name": str,
     "optimizer.lr": Annotated[float, Field(gt=0)],
     "output": str | None,
     "port": Annotated[int, Field(ge=0, le=65535)],
+    "preview": NonNegative,
+    "refining.default_resolution": Positive,
     "refining.images_per_step": Positive,
     "refining.initial": str | None,
+    "refining.method": str,
+    "refining.samplings": Annotated[list[tuple[Positive, Positive]], Field(min_length=1)],
     "refining.scenes": Positive | None,
     "refining.steps": Positive,
     "refining.validate_every_n_steps": Positive,
+    "registry.folder": str,
     "registry.tracking_uri": _ADDRESS | None,
     "resolution": Positive | tuple[Positive, Positive] | None,
+    "roll_backs": NonNegative,
+    "run_dir": str,
+    "run_name": str,
     "sample": str | None,
     "scene": str | list[str],
+    "seed": Annotated[int, Field(ge=0, lt=2**32)],
     "size.cross_layers": Positive,
     "size.decoder_layers": Positive,
     "size.encoder_layers": Positive,
@@ -72,10 +92,12 @@ _TYPES = {
     "size.head_level_channels": Annotated[list[Positive], Field(min_length=1)],
     "size.heads": Positive,
     "size.hidden": Positive,
+    "size.name": str,
     "size.transport_layers": Positive,
     "size.unconstrained_layers": Positive,
     "size.width": Positive,
     "slice.count": Positive,
+    "slice.index": NonNegative,
     "steps": Positive,
     "target": str | list[str],
     "trainer.accelerator": Literal["auto", "cpu", "gpu", "cuda", "mps"],
@@ -85,6 +107,7 @@ _TYPES = {
     "trainer.max_steps": Positive,
     "trainer.num_nodes": Positive,
     "trainer.val_check_interval": Positive,
+    "variant": str,
 }
 
 

@@ -34,7 +34,7 @@ _NO_NAME = re.compile(r"null|true|false|[-+]?[\d.]+(e[-+]?\d+)?|\{.*", re.IGNORE
 #: Numbers from here on have no meaning in any setting.
 _HUGE = 1e15
 #: Values that are replaced before a constructor receives them.
-_REPLACED = {"trainer.precision": "auto"}
+REPLACED = {"trainer.precision": "auto"}
 #: Settings of version 0.1 whose new names are not similar.
 _RENAMED = {
     "callbacks.life": "callbacks.ablation",
@@ -82,7 +82,7 @@ def _require(cfg: DictConfig, defaults: DictConfig, key: str) -> None:
         expected = "a list that is not empty"
     if expected and not _is_exception(key, before, value):
         raise UserError(f"{key}={shown}: {expected} was expected; the default is {before}")
-    is_replaced = key in _REPLACED and value == _REPLACED[key]
+    is_replaced = key in REPLACED and value == REPLACED[key]
     if not is_replaced and (problem := declared_problem(cfg, key, before)):
         raise UserError(f"{key}={shown}: {problem}")
 
