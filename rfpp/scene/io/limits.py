@@ -80,7 +80,7 @@ def parse_json(content: bytes, expected: str) -> dict[str, Any]:
             the expected content.
     """
     try:
-        parsed = json.loads(content.decode("utf-8"), object_pairs_hook=_without_repeats)
+        parsed = json.loads(content.decode("utf-8-sig"), object_pairs_hook=_without_repeats)
     except UnicodeDecodeError:
         raise SceneError(f"is not UTF-8 text: give {expected}") from None
     except json.JSONDecodeError as error:

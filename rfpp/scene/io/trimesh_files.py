@@ -17,7 +17,7 @@ from trimesh.exchange import obj, ply, stl
 from trimesh.geometry import triangulate_quads
 
 from rfpp.errors import SceneError, one_line
-from rfpp.scene.io.limits import MAX_ENTRIES, MAX_TEXT_BYTES, MAX_TRIANGLES, require_bounded
+from rfpp.scene.io.limits import MAX_PARTS, MAX_TEXT_BYTES, MAX_TRIANGLES, require_bounded
 
 #: Keyword arguments of `trimesh.Trimesh`; `vertices` are float64 [V, 3], `faces` triangles [F, 3].
 TrimeshArrays = dict[str, Any]
@@ -30,6 +30,9 @@ _BAD_OBJ_LINE = re.compile(
 )
 _OTHER_OBJ_LINE = re.compile(rb"(?m)^(?!v[tn]? |f )(\S+)(.*)$")
 _MAX_OTHER_OBJ_LINES, _MAX_OBJ_NUMBERS = 1_000_000, 2**24
+_MAX_OBJ_GROUPS = 2 * MAX_PARTS  # `g` before `usemtl`: each group is first one in the material before, without faces
+#: Groups times vertices above which faces get a normal; without normals, trimesh visits all vertices for each group.
+_MANY_OBJ_VERTICES = 10**9
 _PLY_HEADER = re.compile(rb"\Aply\s.{0,65536}?end_header[^\n]*\n", re.DOTALL)
 _BAD_STL_VERTEX = re.compile(rb"(?i)(?<!solid )\bvertex\b(?!(?:%b){3}[ \t\r]*\n)[^\n]*" % _NUMBER)
 _STL_HEADER, _STL_FACET = 84, 50  # bytes
@@ -70,13 +73,19 @@ def load_obj(content: bytes, by_name: bool) -> tuple[dict[tuple[str, str], Trime
             group = value, group[1]
         else:
             return b""
-        if numbers.setdefault(group, len(numbers)) > MAX_ENTRIES:
-            raise SceneError(f"more than {MAX_ENTRIES:,} groups: join them in the original program")
+        if numbers.setdefault(group, len(numbers)) > _MAX_OBJ_GROUPS:
+            raise SceneError(f"more than {_MAX_OBJ_GROUPS:,} groups: join them in the original program")
         return b"usemtl %d" % numbers[group]
 
-    text = "mtllib names\nusemtl 0\n" + _OTHER_OBJ_LINE.sub(replace, text).decode("ascii")
+    text = b"mtllib names\nusemtl 0\n" + _OTHER_OBJ_LINE.sub(replace, text)
+    needs_normals = b"/" not in text and len(numbers) * text.count(b"\nv ") > _MANY_OBJ_VERTICES
+    if needs_normals:
+        text = re.sub(rb"(?m)^f .*", lambda face: b"f %b//1" % b"//1 ".join(face[0].split()[1:]), text)
+        text = b"vn 0 0 1\n" + text
     names = "".join(f"newmtl {number}\n" for number in numbers.values())
-    meshes = _load(obj.load_obj, io.StringIO(text), resolver={"names": names})
+    meshes = _load(obj.load_obj, io.StringIO(text.decode("ascii")), resolver={"names": names})
+    if needs_normals:
+        meshes = [{name: value for name, value in mesh.items() if name != "vertex_normals"} for mesh in meshes]
     groups = list(numbers)
     return {groups[int(mesh["visual"].material.name)]: mesh for mesh in reversed(meshes)}, libraries
 

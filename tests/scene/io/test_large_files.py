@@ -30,7 +30,7 @@ def refused(path: Path, text: str, message: str) -> None:
         ("_MAX_OBJ_NUMBERS", 40, "f" + " 1 2 3" * 20),
         ("_MAX_OTHER_OBJ_LINES", 9, "g a\n" * 10 + "f 1 2 3\n"),
         ("_MAX_OTHER_OBJ_LINES", 9, "\n" * 10 + "f 1 2 3\n"),
-        ("MAX_ENTRIES", 9, "".join(f"g {number}\n" for number in range(20)) + "f 1 2 3\n"),
+        ("_MAX_OBJ_GROUPS", 9, "".join(f"g {number}\n" for number in range(20)) + "f 1 2 3\n"),
     ],
 )
 def test_obj_files_of_too_many_lines_are_not_parsed(

@@ -8,6 +8,7 @@ import trimesh
 from PIL import Image
 
 from rfpp.errors import SceneError
+from rfpp.scene.io import trimesh_files
 from rfpp.scene.io.loading import load_scene
 from rfpp.scene.io.mesh_files import load_mesh
 from rfpp.scene.mesh import Mesh
@@ -35,6 +36,17 @@ def test_groups_in_each_of_their_materials_are_objects(tmp_path: Path) -> None:
     objects = surfaces(tmp_path, obj, "newmtl röt\nKd 1 0 0\nnewmtl b b\nKd 0 0 1\n")
     assert [(item.name, len(item.mesh)) for item in objects] == [("wall röt", 2), ("wall b b", 1), ("lid b b", 2)]
     assert [item.material.diffuse[0] > 0 for item in objects] == [True, False, False]
+
+
+@pytest.mark.parametrize("faces", ["f 1 2 3 4\ng b\nf  5 4 3 # back\n", "f 1 2 3\nvn 0 1 0\ng b\nf 2 3 4 5\nf 1 3 5\n"])
+def test_many_groups_of_many_vertices_are_read_the_same(faces: str, tmp_path: Path, monkeypatch) -> None:
+    """They get normals while they are read, which must not reach the meshes."""
+    text = f"{SQUARE}v 1 1 1\ng a\n{faces}"
+    expected = surfaces(tmp_path, text)
+    monkeypatch.setattr(trimesh_files, "_MANY_OBJ_VERTICES", 1)
+    for item, other in zip(surfaces(tmp_path, text), expected, strict=True):
+        assert (item.name, item.material) == (other.name, other.material)
+        np.testing.assert_array_equal(item.mesh.corners, other.mesh.corners)
 
 
 def test_without_groups_connected_components_are_objects(tmp_path: Path) -> None:

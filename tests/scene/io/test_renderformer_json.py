@@ -64,6 +64,12 @@ def test_absent_keys_have_the_defaults_of_the_format(folder: Path) -> None:
     assert item.material.random_diffuse_type == "per-shading-group"
 
 
+def test_a_byte_order_mark_is_skipped(folder: Path) -> None:
+    path = write(folder, PLAIN)
+    path.write_bytes(b"\xef\xbb\xbf" + path.read_bytes())
+    assert load_scene(path).name == "plain"
+
+
 def test_meshes_are_found_beside_the_file_and_below(folder: Path, monkeypatch) -> None:
     (folder / "sub").mkdir()
     (folder / "ball.obj").rename(folder / "sub" / "ball.obj")
