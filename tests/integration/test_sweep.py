@@ -1,4 +1,4 @@
-"""A sweep from the command line: each point trains in a folder of its own, and MLflow has them under one run."""
+"""A sweep from the command line: each point trains in a folder of its own, and MLflow has all under one run."""
 
 import json
 import os
@@ -19,6 +19,7 @@ def test_points_have_their_own_folders_and_one_parent(tmp_path):
     environment = {name: value for name, value in os.environ.items() if name not in ("RFPP_RUN", "RFPP_SWEEP")}
     command = [
         sys.executable, "launch/train.py", "-m", *SETTINGS, f"data.root={data}", "steps=2", "optimizer.lr=1e-3,1e-4",
+        "name=rate-${optimizer.lr}",
         f"run_dir={tmp_path}/${{oc.env:RFPP_RUN}}", f"logger.folder={tmp_path}", f"hydra.sweep.dir={tmp_path}/sweep",
     ]  # fmt: skip
     done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
