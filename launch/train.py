@@ -38,7 +38,7 @@ from rfpp.training.callbacks.tracked_run import model_selection
 from rfpp.training.checkpoint_files import AUTO, checkpoint_to_resume, point_at
 from rfpp.training.module import RenderingModule
 from rfpp.training.plan import PLAN_KEY, choose_acceleration, choose_precision, plan_training, require_devices
-from rfpp.training.rollback import continues_job, leave_out, left_out_steps, roll_back
+from rfpp.training.rollback import continues_job, omit_steps, omitted_steps, roll_back
 from rfpp.training.run import build_trainer, folder_of, locked, trainer_plugins
 from rfpp.training.steps import CapturedStep, PlainStep
 from rfpp.training.stopping import StoppedError, exit_early
@@ -128,12 +128,12 @@ def main(cfg: DictConfig) -> Path | None:
     except (StoppedError, NonFiniteGradientError, DivergenceError) as stop:
         if not is_first:
             return None  # raised on all ranks, reported by the first
-        if isinstance(stop, DivergenceError) and len(left_out_steps(run_dir)) < cfg.roll_backs:
+        if isinstance(stop, DivergenceError) and len(omitted_steps(run_dir)) < cfg.roll_backs:
             with locked(run_dir):
-                start = leave_out(run_dir, stop.steps)
+                start = omit_steps(run_dir, stop.steps)
             if start is not None:
                 span = f"{stop.steps[0]}–{stop.steps[-1]}, where training began to diverge"
-                exit_early(StoppedError(f"training goes back to {start} and leaves out steps {span}", REQUEUE), run_dir)
+                exit_early(StoppedError(f"training goes back to {start} and omits steps {span}", REQUEUE), run_dir)
         if isinstance(stop, StoppedError):
             exit_early(stop, run_dir)
         raise

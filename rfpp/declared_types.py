@@ -16,7 +16,7 @@ from rfpp.ranges import NonNegative, Positive, Share
 
 
 def _text(pattern: str, expected: str) -> Any:
-    """Return the type of text that begins with a pattern; others are told what was expected."""
+    """Return the type of text that begins with a pattern; `expected` is the message for other text."""
 
     def matching(value: str) -> str:
         if not re.match(pattern, value):

@@ -24,7 +24,7 @@ def missing_extra(error: BaseException) -> MissingDependencyError | None:
     """Return a one-line error that names the extra of a missing library; None for other errors.
 
     Args:
-        error: what was raised; what it was raised from counts too, as Hydra wraps what it meets.
+        error: exception; its causes count too, because Hydra wraps exceptions.
     """
     cause: BaseException | None = error
     while cause is not None:

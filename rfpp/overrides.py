@@ -158,7 +158,7 @@ def _is_exception(key: str, before: Any, value: Any) -> bool:
 
 
 def _expected(before: Any, value: Any) -> str | None:
-    """Return what was expected in place of `value`; None if it may be right."""
+    """Return the kind of value expected in place of `value`; None if it may be right."""
     if before is None or isinstance(before, str) or OmegaConf.is_dict(before):
         return None
     if isinstance(before, bool):

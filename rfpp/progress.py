@@ -27,7 +27,7 @@ def counting(console: Console, things: str, each: int = 1) -> Iterator[tuple[Cal
     The bar is visible unless everything is done at the first call. The note is optional; None keeps the last one.
 
     Args:
-        things: Name of what is counted, in the plural.
+        things: Name of the counted items, in the plural.
         each: Number of things per step of the work.
     """
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), _PerSecond())

@@ -1,4 +1,4 @@
-"""Ranges of numbers, as annotations that are checked: of settings and of what files hold."""
+"""Ranges of numbers, as annotations that are checked for settings and for the content of files."""
 
 from typing import Annotated
 

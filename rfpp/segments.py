@@ -54,7 +54,7 @@ class Segments:
 
     @classmethod
     def uniform(cls, count: int, length: int, device: torch.device | str = "cpu") -> Segments:
-        """Return so many runs of one length, made on the device."""
+        """Return `count` runs of equal length, created on the device."""
         offsets = length * torch.arange(count + 1, dtype=torch.int32, device=device)
         return cls(offsets, count * length, length, count * (length,))
 
@@ -86,18 +86,18 @@ class Segments:
         return Segments(offsets, self.total, max(lengths) if lengths else self.total, lengths)
 
     def lengthened(self, by: int) -> Segments:
-        """Return the runs with so many more rows each."""
+        """Return the runs with `by` further rows each."""
         more = by * torch.arange(len(self) + 1, dtype=torch.int32, device=self.offsets.device)
         lengths = self.host_lengths and tuple(n + by for n in self.host_lengths)
         return Segments(self.offsets + more, self.total + by * len(self), self.longest + by, lengths)
 
     def multiplied(self, by: int) -> Segments:
-        """Return the runs with so many rows in place of each row."""
+        """Return the runs with `by` rows in place of each row."""
         lengths = self.host_lengths and tuple(n * by for n in self.host_lengths)
         return Segments(self.offsets * by, self.total * by, self.longest * by, lengths)
 
     def repeated(self, times: int, runs: int) -> Segments:
-        """Return each of the first `runs` runs so many times in succession; `total` is `times` as large."""
+        """Return the first `runs` runs, each repeated `times` times in succession; `total` is `times` as large."""
         sizes = self.sizes[:runs].repeat_interleave(times, output_size=runs * times)
         offsets = torch.nn.functional.pad(sizes.cumsum(0), (1, 0)).to(self.offsets.dtype)
         lengths = self.host_lengths and tuple(n for n in self.host_lengths[:runs] for _ in range(times))

@@ -79,4 +79,4 @@ def _downloaded(name: str) -> Path:
         return Path(snapshot_download(name, allow_patterns=[CONFIG_FILE, WEIGHTS_FILE]))
     except Exception as error:  # the hub's errors share no base class
         reason = str(error).strip().splitlines()[0][:160] if str(error).strip() else type(error).__name__
-        raise CheckpointError(f"{name}: no such file, and the hub does not give it ({reason})") from None
+        raise CheckpointError(f"{name}: no such file, and the hub does not have it ({reason})") from None

@@ -18,7 +18,7 @@ from rfpp.errors import CheckpointError
 from rfpp.model.layers.encoding import RelativeSpatialEncoding
 from rfpp.scene.texture import FLAT_NORMAL, MATERIAL_CHANNELS, NORMAL_CHANNELS, TEXTURE_CHANNELS, covered_cells
 
-#: The released code's defaults, for keys that a config.json leaves out.
+#: The released code's defaults, for keys that a config.json omits.
 _DEFAULTS: dict[str, Any] = {
     "latent_dim": 768, "num_layers": 12, "num_heads": 6, "dim_feedforward": 3072, "num_register_tokens": 16,
     "dropout": 0.0, "activation": "swiglu", "norm_type": "rms_norm", "norm_first": True, "view_indep_qk_norm": True,

@@ -43,8 +43,8 @@ class GBufferSource:
         """Return a function from view number to stacked channels; rays are cast when it is called.
 
         Args:
-            light_samples: Shadow rays per light and pixel, divided among its samples, of which each gets at least one.
-            points: Samples along each side of a pixel; the channels are so many times as high and wide.
+            light_samples: Shadow rays per light and pixel, divided among its samples; each has at least one.
+            points: Samples along each side of a pixel; the channels are `points` times as high and wide.
         """
         if not self.channels:
             return lambda view: np.zeros((0, points * height, points * width), np.float32)

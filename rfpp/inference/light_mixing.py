@@ -20,7 +20,7 @@ _MAX_VIEWS = 16
 
 
 class LightMixer:
-    """Renders a view as usual until its lights change; then it renders each light once, and mixes their images."""
+    """Renderer of a view that mixes the images of single lights once their emission changes."""
 
     def __init__(self, renderer: Renderer, max_bytes: int = 1 << 28):
         self._renderer = renderer

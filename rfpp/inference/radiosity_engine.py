@@ -26,7 +26,7 @@ _SHOWN_BOUNCES = 8
 class RadiosityEngine:
     """Engine of radiosity; see `rfpp.inference.engine.Engine`.
 
-    It caches cells, acceleration structures and first hits, so that another view or an edit costs what it changes.
+    It caches cells, acceleration structures and first hits, so that another view or an edit recomputes only changes.
 
     Args:
         radiosity: Solver and refinement; the refinement's weights must not change afterwards.

@@ -85,7 +85,7 @@ class HalvingConv(nn.Conv2d):
 
 
 class FusionBlock(nn.Module):
-    """Adds a finer level to the coarser sum, refines it, and enlarges it to the next level's size."""
+    """Fusion of a finer level with the coarser sum, refined and enlarged to the next level's size."""
 
     def __init__(self, channels: int, has_skip: bool):
         super().__init__()

@@ -25,7 +25,7 @@ class Labels(NamedTuple):
 
 @runtime_checkable
 class LabelSource(Protocol):
-    """Labels scenes in another way than `CyclesSettings`, which it may use for some splits."""
+    """Source of labels other than `CyclesSettings`, which it may use for some splits."""
 
     seed: int
 
@@ -38,4 +38,4 @@ class LabelSource(Protocol):
         resolution: SupportsInt,
         noise: SupportsInt,
     ) -> Labels:
-        """Return the labels of square views; `noise` seeds what is random."""
+        """Return the labels of square views; `noise` seeds the random numbers."""

@@ -18,7 +18,7 @@ class PackedScene:
     """Triangles and cameras of a scene, as produced by `pack` and stored in RenderFormer's H5 files.
 
     Attributes:
-        triangles: in world space, sorted by object.
+        triangles: all triangles in world space, sorted by object.
         c2w: [V, 4, 4] float32 camera-to-world, Blender axes.
         fov: [V] float32 degrees along the longer image side.
         texture: [M, 13, P, P] float32 if materials vary within triangles, see `rfpp.scene.texture`.

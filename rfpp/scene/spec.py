@@ -129,7 +129,7 @@ class SceneObject(Strict):
     """A mesh with a transform and a material.
 
     Attributes:
-        mesh: in its own coordinates, before `transform`.
+        mesh: triangles in the object's own coordinates, before `transform`.
         face_material: [F, 10] float32 rows of `SceneTriangles.material`, if the material varies over the faces; they
             replace `material`, which then holds their area-weighted mean, and the shading.
         texels: Materials that vary within faces; without `face_material`, or if `transform` mirrors, they are not used.

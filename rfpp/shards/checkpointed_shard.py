@@ -114,7 +114,7 @@ class UnfinishedShard:
 
 @dataclass(frozen=True)
 class CheckpointedJob:
-    """Makes a sample and stores it in its shard's sample folder; picklable."""
+    """Task that makes a sample and stores it in its shard's sample folder; picklable."""
 
     job: Callable[[SceneTask], SampleBlocks]
 

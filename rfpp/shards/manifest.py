@@ -39,10 +39,10 @@ class Manifest:
     """A complete data set, or several used as one. Samples are listed in the shards' indices, read on demand.
 
     Attributes:
-        root: folder or URL; of several, separated by commas.
-        name: of several, joined by "+".
-        hash: sha256 of the manifest file, which identifies the data; of several, a hash of their hashes.
-        settings: everything the content depends on; of several, by name.
+        root: folder or URL, or several separated by commas.
+        name: name of the data set, or several joined by "+".
+        hash: sha256 of the manifest file, which identifies the data; for several data sets, a hash of their hashes.
+        settings: everything the content depends on; for several data sets, by name.
         counts: "scenes", "images", "triangles", "bytes", "scene_redraws", "empty_views", "unlit_views" of all splits.
         splits: split → shards, of one data set after the other.
     """

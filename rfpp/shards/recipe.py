@@ -98,7 +98,7 @@ class Recipe:
 
     @cached_property
     def fingerprint(self) -> str:
-        """Identifies the settings."""
+        """Hash that identifies the settings."""
         return fingerprint_of(self.settings)
 
     @cached_property

@@ -114,7 +114,7 @@ class Import:
 
 @dataclass(frozen=True)
 class ImportJob:
-    """Makes a sample of a file; picklable, and small because it is sent with each task."""
+    """Task that makes a sample of a file; picklable, and small because it is sent with each call."""
 
     folder: Path
     validation: float | int

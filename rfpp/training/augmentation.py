@@ -16,7 +16,7 @@ from rfpp.scene.triangles import DIFFUSE, EMISSION, SPECULAR
 
 @runtime_checkable
 class Augmentation(Protocol):
-    """Changes the views of a scene at random; `channels` names their G-buffer channels in order."""
+    """Random change of a scene's views; `channels` names their G-buffer channels in order."""
 
     def __call__(self, views: SceneViews, channels: Sequence[str], rng: np.random.Generator) -> SceneViews: ...
 

@@ -19,7 +19,7 @@ Draw = TypeVar("Draw")
 
 @runtime_checkable
 class Partition(Protocol):
-    """Divides draws into parts of equal length, as a function of draws, triangle counts and number of parts.
+    """Division of draws into parts of equal length, from draws, triangle counts and the number of parts.
 
     Every rank computes it, so it must be deterministic. Draws keep their order within a part.
     """
@@ -36,7 +36,7 @@ class Contiguous:
 
 
 class BalancedBySize:
-    """Balances the triangle counts of the parts.
+    """Partition that balances the triangle counts of the parts.
 
     Assigns scenes from the largest to the smallest to the part with the fewest triangles that is not full (longest
     processing time first, Graham 1969). Parts are numbered by their first draws, so that no device gets the largest

@@ -52,7 +52,7 @@ class SkippingCorrupt(Dataset):
 
 
 class Packing:
-    """Collates the readable scenes of a batch.
+    """Collation of the readable scenes of a batch.
 
     A batch without any repeats the one before, without keys: its weight in training is zero, and no rank misses a step.
 

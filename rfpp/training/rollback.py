@@ -1,4 +1,4 @@
-"""Go back to an earlier step of a run: move aside what came later, so that training goes on as a new branch."""
+"""Go back to an earlier step of a run: move aside what came later, so that training continues as a new branch."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from rfpp.training.tracking.journal import JOURNAL, RUN_FILE, Record, records
 
 #: Folder in a run's folder with what the run did after the steps that it went back to, numbered.
 ASIDE = "rolled_back"
-#: File in a run's folder with the steps that the run leaves out: pairs of the first and the last.
-LEFT_OUT = "left_out_steps.json"
+#: File in a run's folder with the omitted steps of the run: pairs of the first and the last.
+OMITTED_STEPS = "omitted_steps.json"
 
 
-def left_out_steps(run_dir: Path) -> list[range]:
-    """Return the steps that a run leaves out."""
-    file = run_dir / LEFT_OUT
+def omitted_steps(run_dir: Path) -> list[range]:
+    """Return the steps that a run omits."""
+    file = run_dir / OMITTED_STEPS
     return [range(first, last + 1) for first, last in json.loads(file.read_bytes())] if file.exists() else []
 
 
-def leave_out(run_dir: Path, steps: range) -> Path | None:
-    """Go back to the newest intact checkpoint before `steps`, and let the run leave these out.
+def omit_steps(run_dir: Path, steps: range) -> Path | None:
+    """Go back to the newest intact checkpoint before `steps`, and omit these steps from the run.
 
     Returns:
         The checkpoint; None: there is none, and nothing has changed.
@@ -34,8 +34,8 @@ def leave_out(run_dir: Path, steps: range) -> Path | None:
     earlier = (path for path in reversed(step_files(run_dir / "checkpoints")) if step_of(path) < steps[0])
     start = next((path for path in earlier if find_defect(path) is None), None)
     if start is not None:
-        spans = [(span[0], span[-1]) for span in [*left_out_steps(run_dir), steps]]
-        write_atomically(run_dir / LEFT_OUT, json.dumps(spans).encode())
+        spans = [(span[0], span[-1]) for span in [*omitted_steps(run_dir), steps]]
+        write_atomically(run_dir / OMITTED_STEPS, json.dumps(spans).encode())
         roll_back(run_dir, start)
     return start
 
@@ -48,7 +48,7 @@ def continues_job(run_dir: Path) -> bool:
 
 
 def roll_back(run_dir: Path, start: Path | None) -> Path | None:
-    """Move aside what a run's folder holds from after `start`.
+    """Move aside the files of a run that are later than `start`.
 
     Later checkpoints and the journal move to `rolled_back/<number>`. The branch begins with the metrics up to the step
     of `start`, and gets an MLflow run of its own. A best checkpoint of a later step is replaced by `start`. If it is
@@ -58,7 +58,7 @@ def roll_back(run_dir: Path, start: Path | None) -> Path | None:
         start: Checkpoint to resume from; None: the beginning.
 
     Returns:
-        The folder with what was moved; None if nothing was later.
+        The folder with the moved files; None if nothing was later.
     """
     step, start = (0, None) if start is None else (_step(start), start.resolve())
     checkpoints = run_dir / "checkpoints"

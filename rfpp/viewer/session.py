@@ -73,7 +73,7 @@ class Drawn:
 
 
 class Session:
-    """Draws the newest view of one visitor: a small draft while it changes, in full once it rests.
+    """Drawing of one visitor's newest view: a small draft while it changes, in full once it rests.
 
     Args:
         view: First view; the attribute `view` is the newest, `newest` its picture.

@@ -55,7 +55,7 @@ def test_psnr_is_its_formula_on_the_tone_mapped_image(metrics, pair) -> None:
 
 
 def test_ssim_is_skimages_when_the_border_is_mirrored_for_it(metrics, pair) -> None:
-    """skimage's own border repeats the edge and is left out of its mean; here it sees what ours sees."""
+    """skimage's own border repeats the edge and is excluded from its mean; here it sees what ours sees."""
     values = metrics(*pair)["ssim"]
     for value, x, y in zip(values.tolist(), *map(_tone_mapped, pair), strict=True):
         edges = ((0, 0), (BORDER, BORDER), (BORDER, BORDER))

@@ -207,8 +207,8 @@ def test_a_run_that_diverges_goes_back_and_leaves_out_where_it_began(folder, dat
     shutil.rmtree(run_dir)
     assert finish(start(run_dir, data, *lasting, "roll_backs=1")) == [128 + signal.SIGUSR1]
     before = step_file(run_dir / "checkpoints", WINDOW - 1)
-    left_out = f"leaves out steps {WINDOW}–{WINDOW + 1}, where training began to"
-    assert f"goes back to {before} and {left_out}" in output(run_dir)
+    omitted = f"omits steps {WINDOW}–{WINDOW + 1}, where training began to"
+    assert f"goes back to {before} and {omitted}" in output(run_dir)
     train(run_dir, data, *lasting, "roll_backs=1")
     after = [step_file(run_dir / "checkpoints", WINDOW + n) for n in range(-1, 3)]
     at = [weights(torch.load(path, weights_only=True)) for path in after]

@@ -5,7 +5,7 @@ from networks import checkpoint_info
 
 from rfpp.checkpoint.loading import CHECKPOINT_KEY
 from rfpp.training.checkpoint_files import step_file
-from rfpp.training.rollback import continues_job, leave_out, left_out_steps
+from rfpp.training.rollback import continues_job, omit_steps, omitted_steps
 from rfpp.training.tracking.journal import JOURNAL, Journal
 
 
@@ -15,12 +15,12 @@ def test_the_newest_intact_checkpoint_before_the_steps_is_taken(tmp_path):
     for step in (8, 9, 10):
         content = {CHECKPOINT_KEY: checkpoint_info().to_dict(), "global_step": step}
         torch.save(content, step_file(folder, step))
-    assert leave_out(tmp_path, range(8, 9)) is None
-    assert left_out_steps(tmp_path) == []
+    assert omit_steps(tmp_path, range(8, 9)) is None
+    assert omitted_steps(tmp_path) == []
     damaged = step_file(folder, 9)
     damaged.write_bytes(damaged.read_bytes()[:-100])
-    assert leave_out(tmp_path, range(10, 12)) == step_file(folder, 8)
-    assert left_out_steps(tmp_path) == [range(10, 12)]
+    assert omit_steps(tmp_path, range(10, 12)) == step_file(folder, 8)
+    assert omitted_steps(tmp_path) == [range(10, 12)]
     assert [path.name for path in sorted(folder.glob("step-*"))] == ["step-00000008.ckpt"]
 
 

@@ -53,7 +53,7 @@ class Turntable(_Orbit):
 
 
 class Swing(_Orbit):
-    """To both sides, `degrees` apart, and back, in a number of frames; for scenes with walls behind them."""
+    """Swing to both sides, `degrees` apart, and back, in a number of frames; for scenes with walls behind them."""
 
     degrees: Annotated[float, Field(gt=0, le=360)]
 

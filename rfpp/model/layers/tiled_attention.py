@@ -1,4 +1,4 @@
-"""Dense attention of tiles of scores, for CPUs with matrix units: there the two products are what is fast."""
+"""Dense attention in tiles of scores, for CPUs with matrix units, on which the two products are fast."""
 
 from __future__ import annotations
 

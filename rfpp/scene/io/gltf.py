@@ -1,7 +1,7 @@
 """glTF 2.0 (.gltf, .glb): nodes with meshes become parts, and cameras and punctual lights are kept.
 
 Y up becomes Z up. Each primitive of each node in the file's scene (else the first, else all roots) is a part. Skinned
-meshes are in the pose of their joints; morph targets and animations are left out. Candela and lux are divided by 683,
+meshes are in the pose of their joints; morph targets and animations are omitted. Candela and lux are divided by 683,
 as Blender does in both directions; the strength of emissive materials is radiance already. A camera's `yfov` becomes
 the angle along the longer side of its aspect ratio.
 """
@@ -53,7 +53,7 @@ _PUNCTUAL = "KHR_lights_punctual"
 def read_gltf(path: Path, detail: int = TEXTURE_TRIANGLES, most: int | None = None) -> ImportedScene:
     """Read a .gltf or .glb file; see `with_detail`.
 
-    Warns of content that is left out. Raises SceneError, without the file's name.
+    Warns of omitted content. Raises SceneError, without the file's name.
     """
     return _scene(GltfFile.at(path), path, detail, most)
 
@@ -97,8 +97,8 @@ class _Reader:
         self.file, self.document = file, file.document
         self.textures = GltfTextures(file)
         self.poses = dict(self._poses())
-        self.left_out: dict[str, None] = dict.fromkeys(["animations"] if self.document.items("animations") else [])
-        self._materials_left_out: set[str] = set()
+        self.omitted: dict[str, None] = dict.fromkeys(["animations"] if self.document.items("animations") else [])
+        self._omitted_of_materials: set[str] = set()
         self._triangles = self._parts = 0
         self._geometries: dict[str, Geometry | None] = {}
 
@@ -117,10 +117,10 @@ class _Reader:
             primitive = mesh.at("primitives", number)
             geometry = self._geometry(primitive)
             if geometry is None:
-                self.left_out["points and lines"] = None
+                self.omitted["points and lines"] = None
                 continue
             if primitive.items("targets"):
-                self.left_out["morph targets"] = None
+                self.omitted["morph targets"] = None
             if not len(geometry.faces):
                 continue
             self._triangles += len(geometry.faces)
@@ -148,7 +148,7 @@ class _Reader:
                 if material and len(mesh.items("primitives")) > 1:
                     name += f" {name_of(material.get('name', TEXT, ''), material.where)}"
                 surface = GltfSurface(self.textures, material, geometry)
-                self._materials_left_out |= surface.left_out
+                self._omitted_of_materials |= surface.omitted
                 one_sided = material is not None and not material.get("doubleSided", FLAG, False)
                 part = Part(name, z_up(world), geometry.faces, plain_material(len(geometry.faces)),
                             geometry.is_smooth, surface.see_through, one_sided)  # fmt: skip
@@ -161,7 +161,7 @@ class _Reader:
         if entry is None:
             return
         if entry.get("type", TEXT, "") != "perspective":
-            self.left_out["orthographic cameras"] = None
+            self.omitted["orthographic cameras"] = None
             return
         position, backward, up = z_up(np.stack([pose[:3, 3], pose[:3, 2], pose[:3, 1]]))
         values = {"position": position, "look_at": position - _unit(backward), "up": _unit(up)}
@@ -194,8 +194,8 @@ class _Reader:
     def warn(self, path: Path, added: int) -> None:
         if self.textures.used:
             warnings.warn(f"{path}: {detail_notice(self.textures.used, added)}", stacklevel=5)
-        if left_out := [*self.left_out, *sorted(self._materials_left_out)]:
-            warnings.warn(f"{path}: left out: {', '.join(left_out)}", stacklevel=5)
+        if omitted := [*self.omitted, *sorted(self._omitted_of_materials)]:
+            warnings.warn(f"{path}: omitted: {', '.join(omitted)}", stacklevel=5)
 
     def _node(self, index: int) -> Entry:
         return self.document.at("nodes", index)

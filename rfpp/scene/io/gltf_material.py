@@ -16,7 +16,7 @@ factors after being averaged over each texel or triangle, vertex colors with the
 than a tenth of its brightest triangle counts as none: what glows is invisible to the camera, and most such textures are
 dark but for a few lights. Without a material: gray.
 
-`MASK` leaves out triangles that are transparent in the mean, and so does `BLEND`, at 0.5, with a texture whose alpha is
+`MASK` omits triangles that are transparent in the mean, and so does `BLEND`, at 0.5, with a texture whose alpha is
 that of a mask. Where textures vary, triangles are subdivided, see `texture_detail`.
 """
 
@@ -62,8 +62,8 @@ class GltfSurface:
     geometry: Geometry
 
     @property
-    def left_out(self) -> set[str]:
-        """Names of what the material has and rows do not represent."""
+    def omitted(self) -> set[str]:
+        """Names of the material's properties that rows do not represent."""
         if self.material is None:
             return set()
         return {name.removeprefix("KHR_materials_") for name in self.material.entry("extensions").values} - _KNOWN

@@ -27,7 +27,7 @@ _SLICES = 32  # slices of pixels that are added one by one
 _ROUNDING = 0.01  # pixels by which a part may be larger than a number of them
 _SIDE = 6  # parts along a triangle's side at most: 36 equal ones, each looked up at its center
 _CHUNK = 50_000  # triangles at a time: 45 MB
-_UNIFORM = 0.01  # standard deviation below which texels are left out
+_UNIFORM = 0.01  # standard deviation below which texels are omitted
 
 #: 8-bit sRGB → linear.
 _LINEAR = np.where(

@@ -31,7 +31,7 @@ class Part:
     """Surface that becomes an object.
 
     Attributes:
-        name: from the file; not yet unique.
+        name: name from the file; not yet unique.
         vertices: [V, 3] float64.
         faces: [F, 3] int64 vertex indices, counter-clockwise seen from outside.
         material: [F, 10] float32, rows of `SceneTriangles.material`.

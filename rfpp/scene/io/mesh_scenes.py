@@ -51,8 +51,8 @@ def read_obj(path: Path, detail: int = TEXTURE_TRIANGLES, most: int | None = Non
     parts, added = with_detail(unfinished, detail, most)
     if textures.used:
         warnings.warn(f"{path}: {detail_notice(textures.used, added)}", stacklevel=4)
-    if left_out := sorted(set().union(*(material.left_out for material in materials.values()))):
-        warnings.warn(f"{path}: left out: {', '.join(left_out)}", stacklevel=4)
+    if omitted := sorted(set().union(*(material.omitted for material in materials.values()))):
+        warnings.warn(f"{path}: omitted: {', '.join(omitted)}", stacklevel=4)
     if not any(name for name, _ in meshes) and len(parts) <= MAX_OBJECTS:
         parts = [piece for part in parts for piece in components(part)]
     return ImportedScene(path.stem, tuple(parts))

@@ -1,7 +1,7 @@
 """MTL, the materials of OBJ files, as rows of `SceneTriangles.material` (data/conventions.md).
 
 Numbers mean what Blender means by them. Colors are linear; textures are sRGB, averaged over each piece and
-multiplied with their color. trimesh omits what it cannot read, such as a missing texture; here it is an error.
+multiplied with their color. trimesh omits unreadable parts, such as a missing texture; here they are errors.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class ObjMaterial:
     name: str
     values: dict[str, list[float]] = field(default_factory=dict)
     textures: dict[str, Path] = field(default_factory=dict)
-    left_out: set[str] = field(default_factory=set)
+    omitted: set[str] = field(default_factory=set)
 
     @property
     def see_through(self) -> str:
@@ -149,7 +149,7 @@ def read_mtl(path: Path) -> dict[str, ObjMaterial]:
             elif key in _DEFAULTS:
                 current.values[key] = _numbers(words, len(_DEFAULTS[key]))
             elif key.startswith("map_") or key in _OTHER_MAPS:
-                current.left_out.add(one_line(key, 20))
+                current.omitted.add(one_line(key, 20))
     except SceneError as error:
         raise SceneError(f"{where}: {error}") from None
     return materials

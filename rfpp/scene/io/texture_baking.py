@@ -59,7 +59,7 @@ def _fitting(wanted: Int[np.ndarray, " n"], side: Float[np.ndarray, " n"], most:
 
 
 def baked(surface: Surface, pieces: Pieces, levels: Int[np.ndarray, " n"]) -> Texels:
-    """Return the texels of pieces that are divided so many times."""
+    """Return the texels of pieces that are divided `levels` times."""
     counts = rows_of(levels)
     first = np.cumsum(counts) - counts
     values = np.empty((counts.sum(), 10), np.float32)

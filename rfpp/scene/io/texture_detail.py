@@ -32,7 +32,7 @@ class TexturedPart:
     """A part in the process of subdivision.
 
     Attributes:
-        part: the part before; its material is not used.
+        part: part before subdivision; its material is not used.
         spread: [N] `Surface.spread` of the pieces.
     """
 
@@ -61,7 +61,7 @@ class TexturedPart:
         return replace(self, pieces=pieces, spread=np.concatenate([self.spread[~chosen], self.surface.spread(added)]))
 
     def finished(self, levels: Int[np.ndarray, " n"]) -> Part:
-        """Return the part with its materials and texels, without what is cut out.
+        """Return the part with its materials and texels, without cut-out pieces.
 
         Args:
             levels: Divisions of each piece into texels.
@@ -87,7 +87,7 @@ def with_detail(
 
     Args:
         detail: Triangles that may be added.
-        most: Triangles that the parts may have in all, if none are left out; None: any number.
+        most: Triangles that the parts may have in all, if none are omitted; None: any number.
         texels: Finest texels that they may have.
     """
     total = sum(len(part.part if isinstance(part, TexturedPart) else part) for part in parts)

@@ -47,7 +47,7 @@ class PanelJitter(HasIntervals):
     """Random displacement of a panel, in world units (RenderFormer's numbers, halved).
 
     Attributes:
-        half_extent: of the panel along each of its sides.
+        half_extent: half extents of the panel along its sides.
         slide: displacement along these sides.
         floor_lift: upward displacement of the floor from z = -0.5, which keeps a tilted floor inside the cube.
         wall_offset: inward displacement of a wall along its normal.

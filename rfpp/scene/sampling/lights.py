@@ -21,9 +21,9 @@ class LightSampler(HasIntervals):
 
     Attributes:
         strength: radiance of a light times the number of lights, so that their sum stays in the interval.
-        scale: of the triangle, per axis.
+        scale: scale of the triangle, per axis.
         rotation: degrees, per axis.
-        distance: from a target at the scene's center.
+        distance: distance from a target at the scene's center.
         target_jitter: displacement of that target per axis.
         elevation: degrees above the horizon, seen from the target.
         clearance: minimum distance of a light's origin to the plane of every panel.

@@ -26,7 +26,7 @@ class Placement(HasIntervals):
     """Rejection sampling of positions, the largest object first.
 
     Attributes:
-        sizes: of the objects, reduced where there is no room.
+        sizes: sizes of the objects, reduced where there is no room.
         rotation: degrees about each axis.
         floating: probability that an object floats above the floor instead of resting on it.
         gap: distance of a resting object's lowest vertex to the floor.

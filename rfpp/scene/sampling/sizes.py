@@ -14,7 +14,7 @@ from rfpp.scene.sampling.interval import HasIntervals, Interval, uniform
 
 @runtime_checkable
 class SizeSampler(Protocol):
-    """Draws the bounding-sphere radii of the objects of a scene before placement."""
+    """Sampler of the bounding-sphere radii of a scene's objects before placement."""
 
     def sample(self, rng: np.random.Generator, count: int) -> Float[np.ndarray, " count"]: ...
 

@@ -20,7 +20,7 @@ _INTERVAL = 0.05
 
 
 class RfppEngine(bpy.types.RenderEngine):
-    """Exports the evaluated scene, sends it and shows the picture."""
+    """Render engine that exports the evaluated scene, sends it and shows the picture."""
 
     bl_idname = ENGINE
     bl_label = "rfpp"

@@ -65,7 +65,7 @@ def _emits(world) -> bool:
 
 
 class _Meshes:
-    """Exports each mesh once, however many objects use it."""
+    """Exporter that writes each mesh once, however many objects use it."""
 
     def __init__(self, glb: Glb, materials: Materials, warnings: Warnings) -> None:
         self._glb, self._materials, self._warnings = glb, materials, warnings

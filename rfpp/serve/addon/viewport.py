@@ -13,7 +13,7 @@ from .windows import rows_of, shrunk, square_pixels, window_of
 
 
 class Viewport:
-    """Exports the scene, requests pictures of the view and draws them."""
+    """Viewport drawing: exports the scene, requests pictures of the view and draws them."""
 
     def __init__(self) -> None:
         self._newest: Newest | None = None

@@ -14,7 +14,7 @@ from rfpp.losses.ablation import AblationErrors
 
 
 class AblationMonitor(L.Callback):
-    """Logs the relative growth of the validation error per ablation (`rfpp.losses.ablation`).
+    """Callback that logs the relative growth of the validation error per ablation (`rfpp.losses.ablation`).
 
     Metrics: `ablation/other_tokens`, `ablation/other_encoded_tokens` and `ablation/no_operator`. With several
     processes, only rank 0's scenes are measured.

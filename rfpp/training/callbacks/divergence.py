@@ -1,4 +1,4 @@
-"""Warn of spikes in the loss and the gradient norm, stop a run that has diverged, and leave out the steps at fault."""
+"""Warn of spikes in the loss and the gradient norm, stop a run that has diverged, and omit the steps at fault."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from torch.optim import Optimizer
 from rfpp.batch import RaggedBatch
 from rfpp.errors import UserError
 from rfpp.ranges import Positive
-from rfpp.training.rollback import left_out_steps
+from rfpp.training.rollback import omitted_steps
 
 #: Metrics that are watched. They are equal on all ranks, which therefore stop together.
 WATCHED = ("train/loss", "train/gradient_norm")
@@ -40,7 +40,7 @@ class DivergenceError(UserError):
 class DivergenceAlarm(L.Callback):
     """Warns at logged steps where the loss or the gradient norm exceeds a multiple of its recent median.
 
-    The steps that a run leaves out (`leave_out`) are made with zero gradients.
+    Steps that a run omits (`omit_steps`) have zero gradients.
 
     Args:
         run_dir: Folder of the run.
@@ -54,10 +54,10 @@ class DivergenceAlarm(L.Callback):
         self._spikes = 0
 
     def on_train_start(self, trainer: L.Trainer, module: L.LightningModule) -> None:
-        self._left_out = left_out_steps(self.run_dir)
+        self._omitted = omitted_steps(self.run_dir)
 
     def on_before_optimizer_step(self, trainer: L.Trainer, module: L.LightningModule, optimizer: Optimizer) -> None:
-        if any(trainer.global_step + 1 in steps for steps in self._left_out):
+        if any(trainer.global_step + 1 in steps for steps in self._omitted):
             for group in optimizer.param_groups:
                 for parameter in group["params"]:
                     if parameter.grad is not None:

@@ -12,7 +12,7 @@ from rfpp.progress import counting
 
 
 class TrainingProgress(L.Callback):
-    """Shows the optimizer steps of the run and the loss of the last logged step, on rank 0."""
+    """Progress bar of the run's optimizer steps, with the last logged loss, on rank 0."""
 
     def on_train_start(self, trainer: L.Trainer, module: L.LightningModule) -> None:
         self._bar = ExitStack()

@@ -30,7 +30,7 @@ class ResumableCheckpoints(Checkpoint):
 
     A step ends when the next one begins: then its metrics are logged and the validation after it has run, so a
     resumed run repeats neither. Stop signals are handled there too: ranks agree, save, and raise StoppedError. An error
-    in the next step leaves the last one as it is; that is saved, too, unless other ranks know nothing of the error.
+    in the next step leaves the last one as it is; that is saved, too, unless other ranks are unaware of the error.
 
     Args:
         every_n_steps: Multiples of this are saved, and the last step.

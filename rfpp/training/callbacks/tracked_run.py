@@ -17,7 +17,7 @@ from rfpp.training.tracking.run_logger import RunLogger
 
 
 class TrackedRun(L.Callback):
-    """Flushes the journal before each checkpoint, and registers the best checkpoint when training is complete.
+    """Callback that flushes the journal before each checkpoint, and registers the best one after training.
 
     The best score so far is logged as `best/log_l1`, if `validation/log_l1` chooses checkpoints: MLflow's table shows
     the last value of a metric.

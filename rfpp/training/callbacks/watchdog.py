@@ -11,7 +11,7 @@ from pydantic import Field
 
 
 class Watchdog(L.Callback):
-    """Prints the stacks of all threads and exits if no batch begins for some minutes.
+    """Callback that prints all stacks and exits if no batch begins for some minutes.
 
     A rank may wait forever for another one, for a file server, or for a loader process. `minutes` must be longer than
     any checkpoint, compilation or batch takes.

@@ -27,7 +27,7 @@ MAX_SECONDS_BETWEEN_TRIES = 30.0
 
 
 class Sender(threading.Thread):
-    """Sends a run folder's journal from where the last sender stopped, until it is closed.
+    """Sender of a run folder's journal, from where the last one stopped until it is closed.
 
     Records sent by a process that died before it noted them are sent again. This changes nothing: MLflow ignores a
     repeated metric (key, value, step, time), and overwrites everything else with the same value.

@@ -118,7 +118,7 @@ def test_points_and_lines_animations_and_flat_cameras_are_left_out_with_a_notice
         builder.primitive(), builder.primitive(mode=1), camera=builder.add("cameras", {"type": "orthographic"})
     )
     builder.document["animations"] = [{}]
-    with pytest.warns(UserWarning, match="left out: animations, points and lines, orthographic cameras"):
+    with pytest.warns(UserWarning, match="omitted: animations, points and lines, orthographic cameras"):
         assert len(read_gltf(builder.write(tmp_path)).parts) == 1
 
 

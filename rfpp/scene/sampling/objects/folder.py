@@ -17,7 +17,7 @@ class FolderObjects(LibraryObjects):
     """Every OBJ, PLY, STL, glTF or GLB file in a folder tree is one object, named by its relative path.
 
     Attributes:
-        folder: of the files; needed only for preparation. Its name is the library's name.
+        folder: folder of the files; needed only for preparation. Its name is the library's name.
     """
 
     folder: str | None

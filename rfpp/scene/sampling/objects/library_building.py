@@ -61,7 +61,7 @@ def prepare(source: LibraryObjects, map: Map, progress: Callable[[int, int], Non
 
 @dataclass(frozen=True)
 class PrepareOriginal:
-    """Prepares one original and records the outcome; picklable."""
+    """Task that prepares one original and records the outcome; picklable."""
 
     root: Path
     preparation: Preparation
