@@ -30,13 +30,20 @@ def require_valid_files(cfg: DictConfig, base: DictConfig, config_dir: Path, bui
     for _, key in sorted(_keys(cfg), key=itemgetter(0)):  # those that others refer to first
         section, _, name = key.rpartition(".")
         before = OmegaConf.select(base, section) if section else base
-        if isinstance(before, DictConfig) and "_target_" not in before and name not in (before if section else known):
+        takes_any = not isinstance(before, DictConfig) or "_target_" in before or (section and _is_part(cfg, key))
+        if not takes_any and name not in (before if section else known):
             similar = suggestions(key, base)
             raise UserError(
                 f"{key}: there is no such setting: {f'did you mean {similar[0]}?' if similar else 'see --help'}"
             )
         if not built or not section or section.partition(".")[0] in built:
             _require_value(cfg, base, key)
+
+
+def _is_part(cfg: DictConfig, key: str) -> bool:
+    """Return whether a setting constructs something, such as a further callback."""
+    value = OmegaConf.select(cfg, key, throw_on_resolution_failure=False)
+    return isinstance(value, DictConfig) and "_target_" in value
 
 
 def _require_value(cfg: DictConfig, base: DictConfig, key: str) -> None:
