@@ -62,12 +62,14 @@ def test_sections_that_a_command_does_not_build_are_not_checked():
 
 
 def test_sections_of_parts_take_further_ones():
+    mine = "+callbacks.mine._target_=lightning.pytorch.callbacks.Timer"
     with initialize_config_dir(str(CONFIG_DIR), version_base="1.3"):
-        base = compose("train", overrides=["logger=none"])
-    cfg = OmegaConf.merge(base, {"callbacks": {"mine": {"_target_": "lightning.pytorch.callbacks.Timer"}}})
-    require_valid_files(cfg, base, CONFIG_DIR)
+        base, *others = (
+            compose("train", overrides=given) for given in ([], [mine], [mine, "+callbacks.mine.interval=[]"])
+        )
+    require_valid_files(others[0], base, CONFIG_DIR)
     with pytest.raises(UserError, match="callbacks.mine.interval"):
-        require_valid_files(OmegaConf.merge(cfg, {"callbacks": {"mine": {"interval": [3]}}}), base, CONFIG_DIR)
+        require_valid_files(others[1], base, CONFIG_DIR)
 
 
 def test_an_experiment_of_ones_own_is_refused_in_one_line(tmp_path):
