@@ -117,7 +117,7 @@ class SlurmCluster:
                 continue
         return [found[rank] for rank in sorted(found)]
 
-    def wait(self, job: str, timeout: float = 240) -> list[str]:
+    def wait(self, job: str, timeout: float = 600) -> list[str]:
         """Wait until all tasks of a job have ended; returns their states."""
         deadline = time.monotonic() + timeout
         states: list[str] = []
@@ -128,7 +128,7 @@ class SlurmCluster:
             time.sleep(0.3)
         raise TimeoutError(f"job {job} is {states} after {timeout} s; see {self.folder}/*.log")
 
-    def wait_for(self, job: str, state: str, timeout: float = 120) -> None:
+    def wait_for(self, job: str, state: str, timeout: float = 300) -> None:
         """Wait until a job that has been running is in this state."""
         deadline = time.monotonic() + timeout
         ran = False
