@@ -16,7 +16,7 @@ from rfpp.overrides import REPLACED, suggestions
 
 
 def require_valid_files(cfg: DictConfig, base: DictConfig, config_dir: Path, built: Collection[str] = ()) -> None:
-    """Raise UserError for a setting that does not exist, is no section, or has a value that its declared type refuses.
+    """Raise UserError for an unknown setting, a value in place of a section, or a value that its declared type refuses.
 
     Args:
         cfg: Configuration of a command with its experiment.

@@ -30,9 +30,9 @@ _BAD_OBJ_LINE = re.compile(
 )
 _OTHER_OBJ_LINE = re.compile(rb"(?m)^(?!v[tn]? |f )(\S+)(.*)$")
 _MAX_OTHER_OBJ_LINES, _MAX_OBJ_NUMBERS = 1_000_000, 2**24
-_MAX_OBJ_GROUPS = 2 * MAX_PARTS  # `g` before `usemtl`: each group is first one in the material before, without faces
+_MAX_OBJ_GROUPS = 2 * MAX_PARTS  # `g` before `usemtl` makes two: with the previous material, and with its own
 #: Groups times vertices above which faces get a normal; without normals, trimesh visits all vertices for each group.
-_MANY_OBJ_VERTICES = 10**9
+_MANY_OBJ_VISITS = 10**9
 _PLY_HEADER = re.compile(rb"\Aply\s.{0,65536}?end_header[^\n]*\n", re.DOTALL)
 _BAD_STL_VERTEX = re.compile(rb"(?i)(?<!solid )\bvertex\b(?!(?:%b){3}[ \t\r]*\n)[^\n]*" % _NUMBER)
 _STL_HEADER, _STL_FACET = 84, 50  # bytes
@@ -78,7 +78,7 @@ def load_obj(content: bytes, by_name: bool) -> tuple[dict[tuple[str, str], Trime
         return b"usemtl %d" % numbers[group]
 
     text = b"mtllib names\nusemtl 0\n" + _OTHER_OBJ_LINE.sub(replace, text)
-    needs_normals = b"/" not in text and len(numbers) * text.count(b"\nv ") > _MANY_OBJ_VERTICES
+    needs_normals = b"/" not in text and len(numbers) * text.count(b"\nv ") > _MANY_OBJ_VISITS
     if needs_normals:
         text = re.sub(rb"(?m)^f .*", lambda face: b"f %b//1" % b"//1 ".join(face[0].split()[1:]), text)
         text = b"vn 0 0 1\n" + text

@@ -43,7 +43,7 @@ def test_many_groups_of_many_vertices_are_read_the_same(faces: str, tmp_path: Pa
     """They get normals while they are read, which must not reach the meshes."""
     text = f"{SQUARE}v 1 1 1\ng a\n{faces}"
     expected = surfaces(tmp_path, text)
-    monkeypatch.setattr(trimesh_files, "_MANY_OBJ_VERTICES", 1)
+    monkeypatch.setattr(trimesh_files, "_MANY_OBJ_VISITS", 1)
     for item, other in zip(surfaces(tmp_path, text), expected, strict=True):
         assert (item.name, item.material) == (other.name, other.material)
         np.testing.assert_array_equal(item.mesh.corners, other.mesh.corners)
