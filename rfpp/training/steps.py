@@ -14,6 +14,8 @@ from torch.func import functional_call
 from rfpp.batch import RaggedBatch
 from rfpp.cuda_graphs import CudaGraph
 from rfpp.losses.rendering import RenderingLoss
+from rfpp.model.layers.autocast import as_multiplied
+from rfpp.model.layers.matrix_precision import block_weights
 from rfpp.model.renderformer_pp import RenderFormerPP, Rendering
 
 
@@ -63,7 +65,7 @@ class CapturedStep:
         losses = _Losses(network, loss)
         trained = {name: p for name, p in losses.named_parameters() if p.requires_grad}
         gradients = torch.empty(sum(p.numel() for p in trained.values()), device=next(network.parameters()).device)
-        return _Memory(torch.cuda.graph_pool_handle(), gradients, losses, trained)
+        return _Memory(torch.cuda.graph_pool_handle(), gradients, losses, trained, block_weights(losses))
 
 
 class _Losses(nn.Module):
@@ -84,6 +86,7 @@ class _Memory(NamedTuple):
     gradients: Tensor
     losses: _Losses
     trained: dict[str, nn.Parameter]
+    block_weights: frozenset[str]
 
 
 class _StepGraph:
@@ -105,8 +108,10 @@ class _StepGraph:
         def step(exposure: Tensor, *tensors: Tensor) -> Tensor:
             # aliases, because autograd remembers the stream on which it first saw a parameter
             aliases = {name: p.detach().requires_grad_() for name, p in memory.trained.items()}
+            # converted here, as the graph would convert them at each use: K + 1 times in the operator
+            weights = {name: as_multiplied(p) if name in memory.block_weights else p for name, p in aliases.items()}
             inputs = batch.with_tensors(tensors), exposure
-            terms, self.tokens = functional_call(memory.losses, aliases, inputs)
+            terms, self.tokens = functional_call(memory.losses, weights, inputs)
             gradients = torch.autograd.grad(terms["loss"], list(aliases.values()), allow_unused=True)
             used = [(p, grad) for p, grad in zip(memory.trained.values(), gradients, strict=True) if grad is not None]
             self.names, self.parameters = tuple(terms), [p for p, _ in used]

@@ -103,7 +103,7 @@ def test_what_a_graph_captures_neither_copies_nor_asks_for_lengths(variant):
 
 
 #: Kernels of a picture: encoding and one view of two scenes. A change that launches more has to say why.
-MOST_KERNELS = {"paper": 1950, "renderformer": 1400}
+MOST_KERNELS = {"paper": 860, "renderformer": 600}
 
 
 @pytest.mark.parametrize("name", MOST_KERNELS)

@@ -1,10 +1,14 @@
+from collections import Counter
+
 import numpy as np
 import pytest
 import torch
 from network_variants import VARIANTS, batch_for, loss
 from networks import network
+from torch.utils._python_dispatch import TorchDispatchMode
 
 from rfpp.batch import common_size
+from rfpp.model.layers.matrix_precision import block_weights
 from rfpp.training import steps
 from rfpp.training.steps import PlainStep
 
@@ -66,10 +70,15 @@ class Repeated:
         return self.function(*inputs)
 
 
-@pytest.mark.parametrize("variant", ["paper", "renderformer", "known_light"])
-def test_a_captured_step_gives_autograd_the_gradients_of_the_plain_one(variant, monkeypatch):
+@pytest.fixture
+def graphs_repeat(monkeypatch):
     monkeypatch.setattr(steps, "CudaGraph", Repeated)
     monkeypatch.setattr(torch.cuda, "graph_pool_handle", lambda: (0, 0))
+
+
+@pytest.mark.usefixtures("graphs_repeat")
+@pytest.mark.parametrize("variant", ["paper", "renderformer", "known_light"])
+def test_a_captured_step_gives_autograd_the_gradients_of_the_plain_one(variant):
     torch.manual_seed(0)
     net, captured = network(*VARIANTS[variant]).train(), steps.CapturedStep()
     for sizes in (((14, 6, 1), (3, 9, 2, 1, 2)), ((13, 6, 2), (4, 7, 2, 2, 1))):
@@ -87,3 +96,39 @@ def test_a_captured_step_gives_autograd_the_gradients_of_the_plain_one(variant, 
                 difference = float((2 * p.grad - expected[name]).norm())
                 assert difference <= 1e-4 * float(expected[name].norm()) + 1e-7, name
     assert len(captured._graphs) == 1
+
+
+class Conversions(TorchDispatchMode):
+    """Counts conversions to bfloat16 by the storage that is converted."""
+
+    def __init__(self):
+        super().__init__()
+        self.of = Counter()
+
+    def __torch_dispatch__(self, func, types, args=(), kwargs=None):
+        if func is torch.ops.aten._to_copy.default and kwargs.get("dtype") == torch.bfloat16:
+            self.of[args[0].untyped_storage().data_ptr()] += 1
+        return func(*args, **kwargs or {})
+
+
+@pytest.mark.usefixtures("graphs_repeat")
+@pytest.mark.parametrize("variant", ["paper", "renderformer"])
+def test_a_captured_step_converts_each_weight_of_a_block_once(variant):
+    """In the operator and in the backward pass too; graphs cannot use autocast's cache."""
+    torch.manual_seed(0)
+    net = network(*VARIANTS[variant]).train()
+    batch = batch_for(net, resolution=32)
+    with torch.autocast("cpu", torch.bfloat16, cache_enabled=False), Conversions() as conversions:
+        terms, _ = steps.CapturedStep()(net, loss(), batch.padded())
+    terms["loss"].backward()
+    weights = {name: p for name, p in net.named_parameters() if name in block_weights(net)}
+    executions = 2
+    counts = {name: conversions.of[p.untyped_storage().data_ptr()] for name, p in weights.items()}
+    assert counts == dict.fromkeys(weights, executions)
+
+    found = {name: p.grad.clone() for name, p in net.named_parameters() if p.grad is not None}
+    with torch.autocast("cpu", torch.bfloat16):
+        expected = gradients(net, batch)
+    for name, gradient in found.items():
+        assert gradient.dtype == torch.float32
+        assert float((gradient - expected[name]).norm()) <= 0.03 * float(expected[name].norm()) + 1e-6, name

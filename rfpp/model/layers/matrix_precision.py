@@ -1,6 +1,8 @@
-"""In what a network computes its matrix products when it renders."""
+"""Precision of a network's matrix products."""
 
 from __future__ import annotations
+
+from collections.abc import Iterator
 
 import torch
 from torch import nn
@@ -32,9 +34,18 @@ def convert_blocks(network: nn.Module, dtype: torch.dtype) -> None:
 
     Autocast converts weights in float32 every time they are used. Images stay the same to the last bit.
     """
-    for part in network.modules():
-        if isinstance(part, SelfAttention | CrossAttention | SwiGLU):
-            part.to(dtype)
+    for _, part in _layers(network):
+        part.to(dtype)
+
+
+def block_weights(network: nn.Module) -> frozenset[str]:
+    """Return the names of the weights of attention and feed-forward layers."""
+    return frozenset(f"{layer}.{name}" for layer, part in _layers(network) for name, _ in part.named_parameters())
+
+
+def _layers(network: nn.Module) -> Iterator[tuple[str, nn.Module]]:
+    parts = network.named_modules()
+    return ((name, part) for name, part in parts if isinstance(part, SelfAttention | CrossAttention | SwiGLU))
 
 
 def _multiplies_bfloat16(device: torch.device) -> bool:
