@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import multiprocessing
 from collections.abc import Mapping, Sequence
+from multiprocessing.context import BaseContext
 from typing import Any
 
 import lightning as L
@@ -20,6 +22,17 @@ from rfpp.training.readers import Reader
 from rfpp.training.signals import exit_with_parent
 from rfpp.training.source import DataSource
 from rfpp.training.views import Share, TrainingViews
+
+
+def loader_processes() -> BaseContext:
+    """Return the context of loader processes.
+
+    They are forks of a server that imports this module once: importing takes seconds, and hundreds of megabytes that
+    all processes share. The training process itself has threads and a GPU, and cannot be forked.
+    """
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload([__name__])
+    return context
 
 
 class SceneDataModule(L.LightningDataModule):
@@ -111,7 +124,7 @@ class SceneDataModule(L.LightningDataModule):
             # separate from training's generator: its state would depend on how often the run was resumed
             generator=torch.Generator().manual_seed(self.seed),
             persistent_workers=self.workers > 0,
-            multiprocessing_context="spawn" if self.workers else None,
+            multiprocessing_context=loader_processes() if self.workers else None,
             worker_init_fn=exit_with_parent,
             pin_memory=self.trainer.strategy.root_device.type == "cuda",
             **options,

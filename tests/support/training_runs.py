@@ -59,14 +59,14 @@ def train(run_dir: Path, data: Path, *overrides: str, ranks: int = 1) -> dict:
 def finish(processes: Sequence[BaseProcess]) -> list[int | None]:
     """Wait for the processes; returns their exit codes."""
     for process in processes:
-        process.join(120)
+        process.join(300)
         process.kill()
     return [process.exitcode for process in processes]
 
 
 def wait_for_step(run_dir: Path, step: int) -> None:
     """Until the checkpoint after this step, or a later one, is there."""
-    deadline = time.monotonic() + 120
+    deadline = time.monotonic() + 300  # a job of Slurm may be requeued meanwhile, and imports everything again
     while not any(path >= step_file(run_dir / "checkpoints", step) for path in step_files(run_dir / "checkpoints")):
         assert time.monotonic() < deadline, output(run_dir)
         time.sleep(0.002)

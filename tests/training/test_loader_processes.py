@@ -1,4 +1,4 @@
-"""Loader processes end with the training process that started them."""
+"""Loader processes share what they import, and end with the training process that started them."""
 
 import subprocess
 import sys
@@ -12,6 +12,7 @@ TRAINING = """
 import os, sys, time
 from pathlib import Path
 from torch.utils.data import Dataset
+from rfpp.training.datamodule import loader_processes
 from rfpp.training.loader import SceneLoader
 from rfpp.training.signals import exit_with_parent
 
@@ -28,7 +29,8 @@ class Slow(Dataset):
 
 
 if __name__ == "__main__":
-    loader = SceneLoader(Slow(), num_workers=2, multiprocessing_context="spawn", worker_init_fn=exit_with_parent)
+    processes = loader_processes()
+    loader = SceneLoader(Slow(), num_workers=2, multiprocessing_context=processes, worker_init_fn=exit_with_parent)
     next(batches := iter(loader))
     while not Path(sys.argv[1], "1.started").exists():
         time.sleep(0.1)
@@ -37,13 +39,17 @@ if __name__ == "__main__":
 
 
 @pytest.mark.parametrize("end", ["killed", "failed"])
-def test_loader_processes_end_when_training_is_killed_or_fails(end, tmp_path):
+def test_loader_processes_share_imports_and_end_when_training_is_killed_or_fails(end, tmp_path):
     script = tmp_path / "training.py"
     script.write_text(TRAINING)
     training = subprocess.Popen([sys.executable, script, tmp_path, end], stderr=subprocess.DEVNULL)
     try:
         loaders = [int(wait_for(tmp_path / f"{index}.started")) for index in range(2)]
         assert end == "failed" or all(is_running(loader) for loader in loaders)
+        if end == "killed":
+            [server] = {psutil.Process(loader).parent() for loader in loaders}
+            assert server.parent().pid == training.pid
+            assert any("libtorch" in mapped.path for mapped in server.memory_maps())  # has imported for both
         if end == "failed":
             assert training.wait(timeout=120) == 1
     finally:

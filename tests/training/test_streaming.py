@@ -13,6 +13,7 @@ from rfpp.errors import ShardError, UserError
 from rfpp.shards.dataset import ShardSplit
 from rfpp.training.augmentation import RigidMotion
 from rfpp.training.batching import Batching, Contiguous
+from rfpp.training.datamodule import loader_processes
 from rfpp.training.readers import WebDatasetReader
 from rfpp.training.source import DataSource
 from rfpp.training.views import Share, TrainingViews
@@ -34,7 +35,7 @@ def batches(root, count: int, buffer: int = 4, workers: int = 0, skip_corrupt: b
     source = DataSource(root, None, scenes, 0, skip_corrupt)
     batching = Batching(PER_STEP * share.get("ranks", 1), None, 1, Contiguous(), 2)
     options = WebDatasetReader(buffer)(views_of(root), source, batching, Share(100, **share), workers)
-    context = "spawn" if workers else None
+    context = loader_processes() if workers else None
     loader = DataLoader(**options, num_workers=workers, collate_fn=list, multiprocessing_context=context)
     return list(islice(loader, count))
 
