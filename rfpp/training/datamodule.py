@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import multiprocessing
+import sys
 from collections.abc import Mapping, Sequence
 from multiprocessing.context import BaseContext
 from typing import Any
@@ -28,9 +29,10 @@ def loader_processes() -> BaseContext:
     """Return the context of loader processes.
 
     They are forks of a server that imports this module once: importing takes seconds, and hundreds of megabytes that
-    all processes share. The training process itself has threads and a GPU, and cannot be forked.
+    all processes share. The training process itself has threads and a GPU, and cannot be forked. On macOS, whose system
+    libraries do not survive a fork, each imports for itself.
     """
-    context = multiprocessing.get_context("forkserver")
+    context = multiprocessing.get_context("spawn" if sys.platform == "darwin" else "forkserver")
     context.set_forkserver_preload([__name__])
     return context
 

@@ -46,7 +46,7 @@ def test_loader_processes_share_imports_and_end_when_training_is_killed_or_fails
     try:
         loaders = [int(wait_for(tmp_path / f"{index}.started")) for index in range(2)]
         assert end == "failed" or all(is_running(loader) for loader in loaders)
-        if end == "killed":
+        if end == "killed" and sys.platform != "darwin":
             [server] = {psutil.Process(loader).parent() for loader in loaders}
             assert server.parent().pid == training.pid
             assert any("libtorch" in mapped.path for mapped in server.memory_maps())  # has imported for both
