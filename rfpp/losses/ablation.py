@@ -58,8 +58,17 @@ def ablated(network: RenderFormerPP, batch: RaggedBatch, other: TokenFeatures) -
     return {name: network.view(each, batch.c2w, batch.fov, batch.gbuffer) for name, each in scenes.items()}
 
 
+def token_spread(features: Float[Tensor, "n width"]) -> Float[Tensor, ""]:
+    """Return the share of the tokens' mean square that is not common to all of them.
+
+    It is about 0.5 before training. At 0 all tokens are equal: none says anything of its object.
+    """
+    features = features.float()
+    return features.var(0, unbiased=False).sum() / features.square().mean(0).sum()
+
+
 class AblationErrors:
-    """Errors of a network with and without each part, accumulated over scenes.
+    """Errors of a network with and without each part, and the spread of its tokens, accumulated over scenes.
 
     Each batch is rendered with the tokens of the batch before. The first batch has none and is skipped.
     """
@@ -67,6 +76,7 @@ class AblationErrors:
     def __init__(self) -> None:
         self._other: TokenFeatures | None = None
         self._errors: dict[str, list[Tensor]] = defaultdict(list)
+        self._spreads: list[Tensor] = []
 
     def add(self, network: RenderFormerPP, batch: RaggedBatch, log_radiance: Float[Tensor, "b v 3 h w"]) -> None:
         """Add one batch.
@@ -79,11 +89,16 @@ class AblationErrors:
             for name, image in {"": log_radiance, **ablated(network, batch, self._other)}.items():
                 self._errors[name].append(log_l1(image, batch.image))
         self._other = TokenFeatures.of(network, batch)
+        self._spreads.append(token_spread(self._other.tokens))
 
     def growth(self) -> dict[str, float]:
         """Return the relative growth of log-L1 by ablation; 0 means that the part is not used."""
         means = {name: torch.stack(errors).mean().item() for name, errors in self._errors.items()}
         return {name: mean / means[""] - 1 for name, mean in means.items() if name}
+
+    def spread(self) -> float:
+        """Return the mean `token_spread` before transport."""
+        return torch.stack(self._spreads).mean().item()
 
 
 def _repeated(rows: Float[Tensor, "m c"], like: Float[Tensor, "n c"]) -> Float[Tensor, "n c"]:

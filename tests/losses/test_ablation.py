@@ -10,6 +10,7 @@ from rfpp.losses.ablation import (
     AblationErrors,
     TokenFeatures,
     ablated,
+    token_spread,
 )
 from rfpp.losses.log_l1 import log_l1
 
@@ -79,3 +80,17 @@ def test_growth_compares_with_the_unmodified_error_and_needs_a_batch_before():
     unmodified = log_l1(net(second).log_radiance, second.image)
     for name, image in ablated(net, second, TokenFeatures.of(net, first)).items():
         assert growth[name] == pytest.approx((log_l1(image, second.image) / unmodified - 1).item(), rel=1e-4)
+
+
+@torch.no_grad()
+def test_the_spread_is_the_share_of_tokens_that_is_not_common_to_all():
+    own = torch.randn(1000, 54, generator=torch.Generator().manual_seed(0))
+    common = own.roll(1, 1)[:1]
+    assert token_spread(own).item() == pytest.approx(1, abs=0.01)
+    assert token_spread(own + 10 * common / common.square().mean().sqrt()).item() == pytest.approx(1 / 101, rel=0.1)
+    assert token_spread(common.expand(1000, 54)).item() == pytest.approx(0, abs=1e-6)
+    net, errors = network(PAPER), AblationErrors()
+    batch = batch_for(net)
+    errors.add(net, batch, net(batch).log_radiance)
+    assert errors.spread() == pytest.approx(token_spread(net.tokenize(batch)[1].features).item())
+    assert errors.spread() > 0.2  # before training

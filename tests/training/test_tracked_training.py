@@ -74,7 +74,7 @@ def test_every_validation_is_scored_and_shown(tracked):
 def test_every_validation_measures_the_ablations(tracked):
     """The logged number equals that of the best checkpoint at its step."""
     folder, checkpoint, client, run = tracked
-    for name in ("other_tokens", "other_encoded_tokens", "no_operator"):
+    for name in ("other_tokens", "other_encoded_tokens", "no_operator", "spread"):
         assert [m.step for m in client.get_metric_history(run.info.run_id, f"ablation/{name}")] == [1, 3]
     network, info = load_network(checkpoint)
     network.eval()

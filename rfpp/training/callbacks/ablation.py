@@ -16,8 +16,8 @@ from rfpp.losses.ablation import AblationErrors
 class AblationMonitor(L.Callback):
     """Callback that logs the relative growth of the validation error per ablation (`rfpp.losses.ablation`).
 
-    Metrics: `ablation/other_tokens`, `ablation/other_encoded_tokens` and `ablation/no_operator`. With several
-    processes, only rank 0's scenes are measured.
+    Metrics: `ablation/other_tokens`, `ablation/other_encoded_tokens`, `ablation/no_operator`, and `ablation/spread`, the
+    `token_spread`. With several processes, only rank 0's scenes are measured.
     """
 
     def __init__(self, scenes: int):
@@ -45,6 +45,7 @@ class AblationMonitor(L.Callback):
         growth = self._errors.growth()
         if not growth or trainer.sanity_checking or not trainer.is_global_zero:
             return
+        measured = {**growth, "spread": self._errors.spread()}
         for logger in trainer.loggers:
             # Lightning counts steps from 0
-            logger.log_metrics({f"ablation/{name}": value for name, value in growth.items()}, trainer.global_step - 1)
+            logger.log_metrics({f"ablation/{name}": value for name, value in measured.items()}, trainer.global_step - 1)
