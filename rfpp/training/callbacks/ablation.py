@@ -16,8 +16,8 @@ from rfpp.losses.ablation import AblationErrors
 class AblationMonitor(L.Callback):
     """Callback that logs the relative growth of the validation error per ablation (`rfpp.losses.ablation`).
 
-    Metrics: `ablation/other_tokens`, `ablation/other_encoded_tokens`, `ablation/no_operator`, and `ablation/spread`, the
-    `token_spread`. With several processes, only rank 0's scenes are measured.
+    Metrics: `ablation/other_tokens`, `ablation/other_encoded_tokens`, `ablation/no_operator`, and `ablation/spread`
+    (`token_spread`). With several processes, only rank 0's scenes are measured.
     """
 
     def __init__(self, scenes: int):
