@@ -59,7 +59,7 @@ def train(run_dir: Path, data: Path, *overrides: str, ranks: int = 1) -> dict:
 def finish(processes: Sequence[BaseProcess]) -> list[int | None]:
     """Wait for the processes; returns their exit codes."""
     for process in processes:
-        process.join(300)
+        process.join(120)
         process.kill()
     return [process.exitcode for process in processes]
 
